@@ -19,7 +19,6 @@ from tactile_toolkit.wording import with_count
 _environment_ids = lazy("tactile_envs:ids")
 _episode_generator = lazy("tactile_envs.recording:EpisodeGenerator.of")
 _episode_spec = lazy("tactile_envs.episodes:EpisodeSpec")
-_env_sources = lazy("tactile_envs.episodes:EnvSources")
 _replay = lazy("tactile_envs.replays:replay")
 _evaluate = lazy("tactile_envs.evaluation:evaluate")
 _read_report = lazy("tactile_envs.evaluation:Report.read")
@@ -86,8 +85,8 @@ def record(
 
     Example: tactile-envs record TactileMNIST-Depth-test-v0 --episodes 200 --out episodes
     """
-    spec = _episode_spec(env_id=env_id, episodes=episodes, num_envs=num_envs, seed=seed)
-    generator = _episode_generator(spec, policy, _env_sources(assets=assets), image_format)
+    spec = _episode_spec(env_id, episodes, num_envs, seed, assets=assets)
+    generator = _episode_generator(spec, policy, image_format)
     runs.generate_set(sink, "playing episodes", generator, out, None, generate_options)
 
 
@@ -95,6 +94,7 @@ def record(
 def replay(
     *,
     name: str = options.NAME,
+    source_options: options.SourceOptions,
     limit: int | None = integer(None, 1, optional=True, help="Replay the first episodes only."),
     assets: str | None = _ASSETS,
     sink: output.Sink,
@@ -106,7 +106,8 @@ def replay(
     Exit code 1 if one differs.
     """
     with sink.progress("replaying", "episodes") as update:
-        result = _replay(name, sources=_env_sources(assets=assets), limit=limit, on_progress=update)
+        place = source_options.open_source(sink, name)
+        result = _replay(place, assets=assets, limit=limit, on_progress=update)
     sink.document(asdict(result))
     counts = f"{with_count(result.episodes, 'episodes')}, {with_count(result.touches, 'touches')}"
     if result.difference is not None:
@@ -133,16 +134,9 @@ def evaluate(
     Example: tactile-envs evaluate TactileMNIST-Depth-test-v0 --policy constant --out constant
     """
     with sink.progress("playing episodes", "groups") as update:
-        report = _evaluate(
-            env_id,
-            policy,
-            episodes=episodes,
-            seeds=seeds,
-            num_envs=num_envs,
-            sources=_env_sources(assets=assets),
-            workers=options.process_count(workers),
-            on_progress=update,
-        )
+        spec = _episode_spec(env_id, episodes, num_envs, assets=assets)
+        count = options.process_count(workers)
+        report = _evaluate(spec, policy, seeds=seeds, workers=count, on_progress=update)
     report.write(out)
     _print_reports(sink, {str(report.policy["name"]): report})
     sink.line(f"written to {out}; next: tactile-envs compare {out} OTHER")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 
@@ -19,6 +19,7 @@ from tactile_toolkit import checked_fields, errors
 from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.wording import did_you_mean
 
 with errors.needs_extra("episodes", "gymnasium", "envs"):
     import gymnasium
@@ -30,9 +31,10 @@ with errors.needs_extra("episodes", "gymnasium", "envs"):
 _MAX_EPISODES = 10_000_000
 _MAX_ENVS = 4096
 _MAX_SEED = 1 << 31
+_SOURCES = ("assets", "unit", "weights", "touches")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class EpisodeSpec:
     """Specification of episodes; with the objects and the policy it decides every number.
 
@@ -49,23 +51,27 @@ class EpisodeSpec:
         Seed of all groups.
     settings : mapping
         Settings that differ from those of the id, as JSON values; see :class:`tactile_envs.Config`.
+    assets, unit, weights, touches : optional
+        Where the objects and weights are, as for :func:`tactile_envs.make_vector`.
     """
 
     env_id: str
-    episodes: int = checked_fields.integer(100, 1, _MAX_EPISODES, help="Number of episodes.")
-    num_envs: int = checked_fields.integer(
-        64, 1, _MAX_ENVS, help="Number of environments side by side; random numbers depend on it."
-    )
-    seed: int = checked_fields.integer(0, help="Random seed.")
+    episodes: int = checked_fields.integer(100, 1, _MAX_EPISODES)
+    num_envs: int = checked_fields.integer(64, 1, _MAX_ENVS)
+    seed: int = checked_fields.integer(0)
     settings: JsonObject = field(default_factory=dict)
+    assets: str | PathLike[str] | None = None
+    unit: str | None = None
+    weights: str | PathLike[str] | None = None
+    touches: str | PathLike[str] | None = None
 
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the episodes")
         object.__setattr__(self, "num_envs", min(self.num_envs, self.episodes))
 
     def to_dict(self) -> JsonDict:
-        """Return JSON values."""
-        return asdict(self)
+        """Return JSON values that decide the episodes, without where the objects are."""
+        return {name: value for name, value in asdict(self).items() if name not in _SOURCES}
 
     @property
     def split(self) -> str:
@@ -77,33 +83,31 @@ class EpisodeSpec:
         """Return the seed of a group of episodes."""
         return int(np.random.SeedSequence([self.seed, group]).generate_state(1)[0] % _MAX_SEED)
 
-
-@dataclass(frozen=True, kw_only=True)
-class EnvSources:
-    """Objects and weights of an environment, as :func:`tactile_envs.make_vector` takes them."""
-
-    assets: str | PathLike[str] | None = None
-    unit: str | None = None
-    weights: str | PathLike[str] | None = None
-    touches: str | PathLike[str] | None = None
-
-    def open(self, spec: EpisodeSpec) -> TactileVectorEnv:
+    def open(self) -> TactileVectorEnv:
         """Make the environments; InputError if the id does not exist or stands for other environments."""
-        given = {name: value for name, value in asdict(self).items() if value is not None}
-        name = spec.env_id
-        if "/" not in name:
-            _ = env_specs()[name]  # an InputError for an unknown id, with the nearest one
+        sources = {name: getattr(self, name) for name in _SOURCES}
+        options = {name: value for name, value in sources.items() if value is not None}
+        name = self.env_id
+        if "/" not in name and ":" not in name:
+            if name not in env_specs():
+                raise InputError(
+                    f"names no environment: {name!r}{did_you_mean(name, env_specs())}",
+                    next="run tactile-envs list",
+                    field="env_id",
+                )
             name = f"tactile_envs:{NAMESPACE}/{name}"
+        if self.settings:
+            options["config"] = dict(self.settings)
         try:
-            env = gymnasium.make_vec(
-                name, spec.num_envs, config=dict(spec.settings), autoreset_mode="DISABLED", **given
-            )
-        except gymnasium.error.UnregisteredEnv as error:
-            raise InputError(f"no environment {spec.env_id!r}: {error}", field="env_id") from error
+            env = gymnasium.make_vec(name, self.num_envs, autoreset_mode="DISABLED", **options)
+        except (gymnasium.error.UnregisteredEnv, ImportError, TypeError) as error:
+            raise InputError(
+                f"names no environment of touch: {self.env_id!r}: {error}", field="env_id"
+            ) from error
         own = env.unwrapped
         if not isinstance(own, TactileVectorEnv):
             raise InputError(
-                f"{spec.env_id!r} makes a {type(own).__name__}; expected a TactileVectorEnv", field="env_id"
+                f"names no environment of touch: {self.env_id!r} makes a {type(own).__name__}", field="env_id"
             )
         return own
 
@@ -163,7 +167,7 @@ class Episodes:
     Parameters
     ----------
     env : TactileVectorEnv
-        Environments, as :meth:`EnvSources.open` makes them.
+        Environments, as :meth:`EpisodeSpec.open` makes them.
     spec : EpisodeSpec
         Specification.
     """
@@ -226,12 +230,12 @@ _OPEN: dict[str, Episodes] = {}
 """The environments that this process opened last, by their specification."""
 
 
-def episodes_of(spec: EpisodeSpec, sources: EnvSources) -> Episodes:
+def episodes_of(spec: EpisodeSpec) -> Episodes:
     """Open the environments of a specification; a process keeps the last ones for its next task."""
-    key = f"{os.getpid()} {spec} {sources}"
+    key = f"{os.getpid()} {replace(spec, seed=0)}"
     if key not in _OPEN:
         for opened in _OPEN.values():
             opened.env.close()
         _OPEN.clear()
-        _OPEN[key] = Episodes(sources.open(spec), spec)
-    return _OPEN[key]
+        _OPEN[key] = Episodes(spec.open(), spec)
+    return Episodes(_OPEN[key].env, spec)

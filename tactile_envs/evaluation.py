@@ -11,7 +11,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from tactile_envs import policies
-from tactile_envs.episodes import EnvSources, EpisodeSpec, episodes_of
+from tactile_envs.episodes import EpisodeSpec, episodes_of
 from tactile_envs.policies import Policy
-from tactile_toolkit import cards, errors, run, wording
+from tactile_toolkit import cards, checked_fields, errors, run, wording
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
@@ -128,25 +128,21 @@ class Report:
 
 
 def evaluate(
-    env_id: str,
+    spec: EpisodeSpec,
     policy: str | Policy,
     *,
-    episodes: int = 500,
     seeds: int = 5,
-    num_envs: int = 64,
-    settings: JsonObject | None = None,
-    sources: EnvSources | None = None,
     workers: int | run.Runner = 1,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Report:
-    """Evaluate a policy: all metrics of its episodes, over seeds 0, 1, ...
+    """Evaluate a policy: all metrics of its episodes, over several seeds.
 
     Parameters
     ----------
-    env_id, policy, num_envs, settings, sources
+    spec : EpisodeSpec
+        Environment, and number of episodes of each seed; ``spec.seed`` is the first seed.
+    policy : str or callable
         As for :func:`tactile_envs.record`.
-    episodes : int
-        Number of episodes of each seed.
     seeds : int
         Number of seeds.
     workers : int or Runner
@@ -166,30 +162,25 @@ def evaluate(
         The id, a setting, the policy or the objects cannot be used.
     """
     start_s = time.monotonic()
-    specs = [
-        EpisodeSpec(env_id=env_id, episodes=episodes, num_envs=num_envs, seed=seed, settings=settings or {})
-        for seed in range(seeds)
-    ]
-    if not specs:
-        raise InputError("seeds is 0; expected at least 1", field="seeds")
-    sources = sources or EnvSources()
+    checked_fields.checked_integer(seeds, "seeds", 1)
+    specs = [replace(spec, seed=spec.seed + number) for number in range(seeds)]
     made = policies.policy_named(policy)
     facts = policies.fingerprint(made)
-    objects = episodes_of(specs[0], sources).env.objects()
-    groups = [(spec, group) for spec in specs for group in range(-(-spec.episodes // spec.num_envs))]
+    objects = episodes_of(spec).env.objects()
+    groups = [(own, group) for own in specs for group in range(-(-spec.episodes // spec.num_envs))]
     held: dict[tuple[int, int], Curves] = {}
-    for number, curves in run.runner_for(workers).run(partial(_curves, sources, made), groups):
+    for number, curves in run.runner_for(workers).run(partial(_curves, made), groups):
         held[number] = curves
         on_progress(len(held), len(groups))
-    rows = np.concatenate([held[spec.seed, group][0] for spec, group in groups])
+    keys = [(own.seed, group) for own, group in groups]
+    rows = np.concatenate([held[key][0] for key in keys])
     metrics = {
-        name: _metric(rows, np.concatenate([held[spec.seed, group][1][name] for spec, group in groups]))
-        for name in held[0, 0][1]
+        name: _metric(rows, np.concatenate([held[key][1][name] for key in keys])) for name in held[keys[0]][1]
     }
     protocol = {
-        **{name: value for name, value in specs[0].to_dict().items() if name != "seed"},
+        **spec.to_dict(),
         "seeds": seeds,
-        "split": specs[0].split,
+        "split": spec.split,
         "objects": objects.files,
     }
     facts_of_run = {
@@ -201,12 +192,10 @@ def evaluate(
     return Report(protocol, facts, metrics, facts_of_run)
 
 
-def _curves(
-    sources: EnvSources, policy: Policy, group: tuple[EpisodeSpec, int]
-) -> tuple[tuple[int, int], Curves]:
+def _curves(policy: Policy, group: tuple[EpisodeSpec, int]) -> tuple[tuple[int, int], Curves]:
     """Play a group of episodes of a seed; return the key of the group, and its curves."""
     spec, number = group
-    episodes = episodes_of(spec, sources)
+    episodes = episodes_of(spec)
     count = min(spec.num_envs, spec.episodes - number * spec.num_envs)
     values: dict[str, Float64] = {}
     objects: Int64 | None = None

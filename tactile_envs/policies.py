@@ -120,7 +120,7 @@ def policy_named(name: str | Policy) -> Policy:
     module_name, _, attribute = name.partition(":")
     if not attribute:
         raise InputError(
-            f"no policy {name!r}{did_you_mean(name, POLICIES)}; expected one of {', '.join(POLICIES)}, or "
+            f"is {name!r}{did_you_mean(name, POLICIES)}; expected one of {', '.join(POLICIES)}, or "
             "module:attribute",
             field="policy",
         )
@@ -130,11 +130,13 @@ def policy_named(name: str | Policy) -> Policy:
     try:
         policy = getattr(importlib.import_module(module_name), attribute)
     except (ImportError, AttributeError) as error:
-        raise InputError(f"the policy {name!r} cannot be imported: {error}", field="policy") from error
+        raise InputError(f"is {name!r}, which cannot be imported: {error}", field="policy") from error
     if isinstance(policy, type):
         policy = policy()
     if not callable(policy):
-        raise InputError(f"{name!r} is a {type(policy).__name__}; expected a policy", field="policy")
+        raise InputError(
+            f"is {name!r}, a {type(policy).__name__}; expected a function of observations", field="policy"
+        )
     checked: Policy = policy
     return checked
 

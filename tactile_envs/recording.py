@@ -12,7 +12,7 @@ import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
 from tactile_envs import policies
-from tactile_envs.episodes import EnvSources, Episodes, EpisodeSpec, Taken, Touch, episodes_of
+from tactile_envs.episodes import Episodes, EpisodeSpec, Taken, Touch, episodes_of
 from tactile_envs.kind import KIND
 from tactile_envs.policies import Policy
 from tactile_toolkit import generation, read, rows, store, touch
@@ -102,19 +102,16 @@ class EpisodeGenerator(generation.RowGenerator):
     spec: EpisodeSpec
     policy: Policy
     policy_facts: JsonDict
-    sources: EnvSources = field(repr=False)
     form: _Form = field(repr=False)
     image_format: touch.ImageFormat = "jpeg"
     kind = KIND
 
     @classmethod
-    def of(
-        cls, spec: EpisodeSpec, policy: str | Policy, sources: EnvSources, image_format: touch.ImageFormat
-    ) -> EpisodeGenerator:
+    def of(cls, spec: EpisodeSpec, policy: str | Policy, image_format: touch.ImageFormat) -> EpisodeGenerator:
         """Open the environments; InputError if the id, a setting, the policy or objects cannot be used."""
         made = policies.policy_named(policy)
         facts = policies.fingerprint(made)  # its state before the first episode
-        return cls(spec, made, facts, sources, _Form.of(episodes_of(spec, sources)), image_format)
+        return cls(spec, made, facts, _Form.of(episodes_of(spec)), image_format)
 
     def manifest(self) -> JsonObject:
         """Return what decides the episodes: specification, policy, and digests of the objects."""
@@ -129,7 +126,7 @@ class EpisodeGenerator(generation.RowGenerator):
 
     def layout(self) -> generation.StorageLayout:
         """Return the storage layout of rows; a shard has whole groups, as one costs as much as all of it."""
-        episodes = episodes_of(self.spec, self.sources)
+        episodes = episodes_of(self.spec)
         config = episodes.env.config
         width, height = config.sensor_output_size
         episode_bytes = (config.step_limit + 1) * (width * height * _JPEG_BYTES_PER_PX + 600)
@@ -160,7 +157,7 @@ class EpisodeGenerator(generation.RowGenerator):
 
     def make(self, split: str, items: Sequence[int]) -> Iterator[EpisodeRound]:
         """Play the groups that the episodes belong to, and yield the row of each episode."""
-        episodes = episodes_of(self.spec, self.sources)
+        episodes = episodes_of(self.spec)
         count = self.spec.num_envs
         for group in range(items[0] // count, items[-1] // count + 1):
             chosen = [item - group * count for item in items if item // count == group]
@@ -230,15 +227,10 @@ def _actions(actions: Sequence[Taken], name: str, count: int) -> AnyArray:
 
 
 def record(
-    env_id: str,
+    spec: EpisodeSpec,
     policy: str | Policy,
-    episodes: int,
     out: str | os.PathLike[str],
     *,
-    seed: int = 0,
-    num_envs: int = 64,
-    settings: JsonObject | None = None,
-    sources: EnvSources | None = None,
     image_format: touch.ImageFormat = "jpeg",
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
@@ -248,19 +240,14 @@ def record(
 
     Parameters
     ----------
-    env_id : str
-        Id of the environment; see :class:`EpisodeSpec`.
+    spec : EpisodeSpec
+        Environment, number of episodes, and seed.
     policy : str or callable
-        What acts and predicts; see :data:`tactile_envs.policies.Policy` and
-        :func:`tactile_envs.policies.policy_named`.
-    episodes : int
-        Number of episodes.
+        What acts and predicts: a function that takes the observations of n environments and returns their
+        ``{"action": ..., "prediction": ...}``; or ``"random"``, ``"constant"``, ``"oracle"``, or
+        ``"module:attribute"``.
     out : str or path-like
         Folder to write.
-    seed, num_envs, settings
-        As in :class:`EpisodeSpec`.
-    sources : EnvSources, optional
-        Objects and weights; by default as for :func:`tactile_envs.make_vector`.
     image_format : "jpeg" or "png"
         Format of the images; JPEGs have quality 95.
     **run
@@ -278,9 +265,12 @@ def record(
         The id, a setting, the policy or the objects cannot be used.
     SpecMismatchError
         The folder holds another data set.
+
+    Examples
+    --------
+    ::
+
+        spec = tactile_envs.EpisodeSpec("TactileMNIST-Depth-test-v0", episodes=200, assets="assets")
+        tactile_envs.record(spec, "random", "episodes")
     """
-    spec = EpisodeSpec(
-        env_id=env_id, episodes=episodes, num_envs=num_envs, seed=seed, settings=settings or {}
-    )
-    generator = EpisodeGenerator.of(spec, policy, sources or EnvSources(), image_format)
-    return generator.generate(out, **run)
+    return EpisodeGenerator.of(spec, policy, image_format).generate(out, **run)

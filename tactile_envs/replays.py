@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from os import PathLike
 
 import numpy as np
 
 import realtouch
 from tactile_envs.config import Action, Observation
 from tactile_envs.environment import TactileVectorEnv
-from tactile_envs.episodes import EnvSources, EpisodeSpec
+from tactile_envs.episodes import EpisodeSpec
 from tactile_envs.recording import EpisodeGenerator, EpisodeRound
 from tactile_toolkit import places
 from tactile_toolkit.errors import InputError
@@ -57,7 +58,9 @@ class _Recorded:
 def replay(
     name: places.Name | places.Place,
     *,
-    sources: EnvSources | None = None,
+    assets: str | PathLike[str] | None = None,
+    touches: str | PathLike[str] | None = None,
+    weights: str | PathLike[str] | None = None,
     limit: int | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replay:
@@ -67,8 +70,8 @@ def replay(
     ----------
     name : str, path-like or Place
         Data set that :func:`record` made.
-    sources : EnvSources, optional
-        Objects and weights; by default as for :func:`tactile_envs.make_vector`.
+    assets, touches, weights : path or str, optional
+        Where the objects and weights are, as for :func:`tactile_envs.make_vector`.
     limit : int, optional
         Number of episodes, from the first one on; all by default.
     on_progress : callable
@@ -89,8 +92,9 @@ def replay(
             next="name the folder of a recording, not a copy of some of its rows",
         )
     options = manifest.spec["options"]
-    spec = EpisodeSpec(**{each.name: options[each.name] for each in fields(EpisodeSpec)})
-    generator = EpisodeGenerator.of(spec, "constant", sources or EnvSources(), options["image_format"])
+    stated = {name: options[name] for name in ("env_id", "episodes", "num_envs", "seed", "settings")}
+    spec = EpisodeSpec(**stated, assets=assets, touches=touches, weights=weights)
+    generator = EpisodeGenerator.of(spec, "constant", options["image_format"])
     if generator.form.files != manifest.spec["source"][spec.split]:
         raise InputError(
             f"the objects of the environment are not those of {place.name!r}",
@@ -99,18 +103,18 @@ def replay(
         )
     rounds = realtouch.load(place, split=spec.split)
     assert isinstance(rounds, realtouch.TouchSingleDataset), "an episode has an image for each touch"
-    touches = 0
+    count = 0
     for first in range(0, min(len(rounds), limit or len(rounds)), spec.num_envs):
         numbers = range(first, min(first + spec.num_envs, len(rounds)))
         recorded = {number - first: rounds[number] for number in numbers}
         again = replace(generator, policy=_Recorded(recorded, spec))
         for number, made in zip(numbers, again.make(spec.split, numbers), strict=True):
             difference = _difference(recorded[number - first], made)
-            touches += len(made.images)
+            count += len(made.images)
             if difference is not None:
-                return Replay(number + 1, touches, f"episode {made.id}: {difference}")
+                return Replay(number + 1, count, f"episode {made.id}: {difference}")
         on_progress(numbers.stop, len(rounds))
-    return Replay(numbers.stop, touches, None)
+    return Replay(numbers.stop, count, None)
 
 
 def _difference(stored: realtouch.TouchSingleRound, made: EpisodeRound) -> str | None:

@@ -16,7 +16,7 @@ COMMANDS = {
     "realtouch": "load import check resize stills",
     "tactile-sim": "generate render calibrate pairs train check depth",
     "env-assets": "wrench",
-    "tactile-envs": "list",
+    "tactile-envs": "list record replay evaluate compare",
 }
 """The whole command line, in the order of the helps."""
 OFFLINE = {
@@ -26,7 +26,7 @@ OFFLINE = {
     "realtouch": "import",
     "tactile-sim": "render train check",
     "env-assets": "wrench",
-    "tactile-envs": "list",
+    "tactile-envs": "list record evaluate compare",
 }
 
 

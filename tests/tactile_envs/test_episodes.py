@@ -1,0 +1,288 @@
+"""Episodes of policies: recorded, replayed, evaluated and compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
+
+import realtouch
+from tactile_envs import evaluation, policies, recording, replays
+from tactile_envs.config import Action, Observation
+from tactile_envs.entry_points import make_vector
+from tactile_envs.episodes import EpisodeSpec
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tests.command_line import call
+
+pytestmark = pytest.mark.envs
+
+ID = "TactileMNIST-Depth-test-v0"
+
+
+class Wanderer:
+    """Remembers the number of touches and the seed: a policy with a state."""
+
+    def begin(self, env: Any, seed: int) -> None:
+        self.rng, self.count = np.random.default_rng(seed), env.num_envs
+        self.touches = 0
+
+    def __call__(self, observation: Observation) -> Action:
+        self.touches += 1
+        way = self.rng.uniform(-1, 1, (self.count, 3)).astype(np.float32)
+        prediction = np.zeros((self.count, 10), np.float32)
+        prediction[:, self.touches % 10] = 3.0
+        return {"action": {"sensor_target_pos_rel": way}, "prediction": prediction}
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "data").iterdir())}
+
+
+def _record(out: Path, assets: Path, policy: Any = Wanderer, **run: Any) -> Any:
+    return recording.record(EpisodeSpec(ID, 7, 2, 3, assets=assets), policy(), out, **run)
+
+
+def test_a_recording_has_what_the_environment_gave(tmp_path, assets):
+    _record(tmp_path / "set", assets)
+    rounds = realtouch.load(tmp_path / "set", split="test")
+    assert len(rounds) == 7
+    spec = EpisodeSpec(ID, 7, 2, 3)
+    env = make_vector(ID, num_envs=2, assets=assets, autoreset_mode="DISABLED")
+    policy = Wanderer()
+    for group in range(4):
+        observation, info = env.reset(seed=spec.group_seed(group))
+        policy.begin(env, spec.group_seed(group))
+        held = rounds[2 * group : 2 * group + 2]
+        for step in range(env.config.step_limit):
+            action = policy(observation)
+            before, poses = observation, info["sensor_pose"]
+            observation, reward, _, _, info = env.step(action)
+            for index, stored in enumerate(held):
+                assert stored.extra["reward"][step] == np.float32(reward[index])
+                assert stored.extra["target"][step] == info["prediction"]["target"][index] == stored.label
+                np.testing.assert_array_equal(
+                    stored.extra["action"][step], action["action"]["sensor_target_pos_rel"][index]
+                )
+                np.testing.assert_array_equal(stored.extra["prediction"][step], action["prediction"][index])
+                np.testing.assert_array_equal(
+                    stored.gel_pose_cell_frame[step].translation, poses[index, :3, 3]
+                )
+                shown = stored.sensor_image[step][..., 0] / 255
+                assert np.abs(shown - before["sensor_img"][index, ..., 0]).mean() < 0.02
+        for index, stored in enumerate(held):
+            assert stored.touch_count == env.config.step_limit + 1
+            assert stored.object_id == env.current_data_points[index].id
+            assert np.isnan(stored.extra["reward"][-1])
+            assert np.isnan(stored.extra["action"][-1]).all()
+
+
+def test_bytes_do_not_depend_on_workers_parts_or_interruptions(tmp_path, assets):
+    _record(tmp_path / "one", assets)
+    _record(tmp_path / "two", assets, workers=2)
+    expected = _bytes(tmp_path / "one")
+    assert _bytes(tmp_path / "two") == expected
+    assert len(expected) > 1
+
+    class InterruptionError(Exception):
+        pass
+
+    def interrupt(progress: Any) -> None:
+        if progress.record is not None:
+            raise InterruptionError
+
+    with pytest.raises(InterruptionError):
+        _record(tmp_path / "three", assets, on_progress=interrupt)
+    assert 0 < len(_bytes(tmp_path / "three")) < len(expected)
+    _record(tmp_path / "three", assets)
+    assert _bytes(tmp_path / "three") == expected
+    with pytest.raises(SpecMismatchError, match="policy"):
+        _record(tmp_path / "three", assets, policy=policies.RandomPolicy)
+
+
+def test_a_replay_gives_the_same_or_names_the_first_difference(tmp_path, assets, monkeypatch):
+    _record(tmp_path / "set", assets)
+    assert replays.replay(tmp_path / "set", assets=assets) == replays.Replay(7, 7 * 17, None)
+    monkeypatch.setattr(recording, "_QUALITY", 50)
+    changed = replays.replay(tmp_path / "set", assets=assets)
+    assert changed.difference == "episode test-0: touch 0 has another image"
+    monkeypatch.undo()
+    monkeypatch.setattr("tactile_envs.motion.Motion.aim", lambda *_: np.zeros(2, np.float32))
+    moved = replays.replay(tmp_path / "set", assets=assets)
+    assert moved.difference is not None
+    assert moved.difference.startswith("episode test-0: touch ")
+
+
+def test_a_replay_refuses_other_objects_and_other_sets(tmp_path, assets):
+    recording.record(EpisodeSpec(ID, 2, assets=assets), "constant", tmp_path / "set")
+    with pytest.raises(InputError, match="was not made by"):
+        replays.replay(Path(assets) / "mnist3d", assets=assets)
+    for label, height_mm in enumerate((8.0, 10.0)):
+        path = tmp_path / "others" / str(label) / "box.stl"
+        path.parent.mkdir(parents=True)
+        trimesh.creation.box((20.0, 12.0, height_mm)).export(path)
+    with pytest.raises(InputError, match="the objects of the environment are not those of"):
+        replays.replay(tmp_path / "set", assets=tmp_path / "others")
+
+
+def test_episodes_of_recorded_touches_may_end_early(tmp_path, assets):
+    settings = {"step_limit": 8, "approx_truncation_probability": 0.9}
+    env_id = "TactileMNISTRealSnap-train-v0"
+    spec = EpisodeSpec(env_id, 12, 4, 1, settings, assets=assets)
+    recording.record(spec, "random", tmp_path / "set")
+    rounds = realtouch.load(tmp_path / "set")
+    lengths = [held.touch_count for held in rounds]
+    assert len(set(lengths)) > 1
+    assert max(lengths) <= 9
+    for held in rounds:
+        assert np.isnan(held.extra["reward"][-1])
+        assert np.isfinite(held.extra["reward"][:-1]).all()
+    assert replays.replay(tmp_path / "set", assets=assets).difference is None
+    report = evaluation.evaluate(spec, "oracle", seeds=2)
+    assert report.metrics["accuracy"].final.mean == 1.0
+
+
+def _report(policy: str, assets: Path, **options: Any) -> evaluation.Report:
+    return evaluation.evaluate(EpisodeSpec(ID, 48, 16, assets=assets), policy, **{"seeds": 2, **options})
+
+
+def test_known_policies_give_known_figures(tmp_path, assets):
+    accuracy = _report("oracle", assets).metrics["accuracy"]
+    assert accuracy == evaluation.Metric(
+        evaluation.Summary(1.0, 1.0, 1.0), evaluation.Summary(1.0, 1.0, 1.0), [1.0] * 16
+    )
+    # The constant policy names the first class, whose share is that of the recorded answers.
+    share = []
+    for seed in (0, 1):
+        out = tmp_path / str(seed)
+        recording.record(EpisodeSpec(ID, 48, 16, seed, assets=assets), "constant", out)
+        share.append(np.mean(realtouch.load(out).labels == 0))
+    constant = _report("constant", assets).metrics["accuracy"]
+    assert constant.final.mean == constant.average.mean == pytest.approx(np.mean(share), abs=1e-12)
+    random = _report("random", assets).metrics["accuracy"]
+    assert random.average.low < 0.1 < random.average.high
+    volume = evaluation.evaluate(
+        EpisodeSpec("TactileMNISTVolume-Depth-test-v0", 4, assets=assets), "oracle", seeds=1
+    )
+    assert volume.metrics["abs_error_cm3"].average.high < 1e-5
+
+
+def test_figures_are_those_of_the_statistics_of_the_environment(assets):
+    report = _report("random", assets, seeds=1)
+    env = make_vector(ID, num_envs=16, assets=assets, autoreset_mode="DISABLED")
+    spec = EpisodeSpec(env_id=ID, episodes=48, num_envs=16)
+    policy = policies.RandomPolicy()
+    averages, finals, curves = [], [], []
+    for group in range(3):
+        observation, _ = env.reset(seed=spec.group_seed(group))
+        policy.begin(env, spec.group_seed(group))
+        is_over = np.zeros(16, bool)
+        while not is_over.any():
+            observation, _, terminated, truncated, info = env.step(policy(observation))
+            is_over = terminated | truncated
+        averages += [*info["stats"]["scalar"]["avg_correct_label_prob"]]
+        finals += [*info["stats"]["scalar"]["final_correct_label_prob"]]
+        curves.append(info["stats"]["vector"]["correct_label_prob"])
+    found = report.metrics["correct_label_prob"]
+    assert found.average.mean == pytest.approx(np.mean(averages, dtype=float), abs=1e-6)
+    assert found.final.mean == pytest.approx(np.mean(finals, dtype=float), abs=1e-6)
+    np.testing.assert_allclose(found.by_step, np.concatenate(curves).mean(axis=0), atol=1e-6)
+
+
+def test_the_interval_is_that_of_objects_drawn_again():
+    """Episodes of one object are drawn together, so that many of them do not pretend to be many objects."""
+    rng = np.random.default_rng(5)
+    objects = np.repeat(np.arange(400), 10)
+    of_object = rng.normal(size=400)
+    summary = evaluation._summary(objects, of_object[objects])
+    error = of_object.std() / np.sqrt(400)
+    assert summary.mean == pytest.approx(of_object.mean())
+    assert summary.high - summary.low == pytest.approx(2 * 1.96 * error, rel=0.1)
+
+
+def test_reports_are_the_same_from_any_workers_and_are_compared_only_if_alike(tmp_path, assets):
+    one, two = (_report("random", assets, workers=workers) for workers in (1, 2))
+    assert (one.metrics, one.protocol, one.policy) == (two.metrics, two.protocol, two.policy)
+    pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
+    one.write(tmp_path / "one")
+    assert evaluation.Report.read(tmp_path / "one") == one
+    assert "random in TactileMNIST-Depth-test-v0" in (tmp_path / "one" / "report.md").read_text()
+    with pytest.raises(InputError, match="exists"):
+        one.write(tmp_path / "one")
+    table = evaluation.compare({"a": one, "b": two})
+    assert [row[:2] for row in table] == [
+        (name, kind) for name in one.metrics for kind in ("average", "final")
+    ]
+    other = _report("random", assets, seeds=1)
+    with pytest.raises(InputError, match="seeds is 2 and 1"):
+        evaluation.compare({"a": one, "c": other})
+    with pytest.raises(InputError, match="no report"):
+        evaluation.Report.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("randm", "did you mean 'random'"),
+        ("no_such_module:policy", "cannot be imported"),
+        ("math:no_such_name", "cannot be imported"),
+        ("math:pi", "a float; expected a function"),
+    ],
+)
+def test_policies_are_refused_by_name(name, message):
+    with pytest.raises(InputError, match=message):
+        policies.policy_named(name)
+
+
+def test_a_policy_is_found_in_the_working_folder(tmp_path, monkeypatch, assets):
+    (tmp_path / "my_policies.py").write_text(
+        "import numpy as np\n"
+        "class Still:\n"
+        "    def __call__(self, observation):\n"
+        "        count = len(observation['sensor_img'])\n"
+        "        return {'action': {'sensor_target_pos_rel': np.zeros((count, 3), np.float32)},\n"
+        "                'prediction': np.zeros((count, 10), np.float32)}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    manifest = recording.record(EpisodeSpec(ID, 2, assets=assets), "my_policies:Still", tmp_path / "set")
+    assert manifest.spec["options"]["policy"]["name"] == "my_policies:Still"
+
+
+def test_unknown_environments_are_refused(assets):
+    for env_id in ("TactileMNIST-Dept-test-v0", "no_such/Environment-v0", "no_module:a/B-v0"):
+        with pytest.raises(InputError, match="names no environment"):
+            recording.record(EpisodeSpec(env_id, 1, assets=assets), "random", "never")
+    for options in ({"assets": assets}, {}):
+        with pytest.raises(InputError, match="names no environment of touch: 'gymnasium:CartPole-v1'"):
+            recording.record(EpisodeSpec("gymnasium:CartPole-v1", 1, **options), "random", "never")
+
+
+def test_the_command_line_records_replays_evaluates_and_compares(tmp_path, assets, monkeypatch, capsys):
+    pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
+    monkeypatch.chdir(tmp_path)
+    objects = ("--assets", str(assets))
+    assert call("tactile-envs", "record", ID, "--episodes", "3", "--dry-run", *objects) == 0
+    assert not (tmp_path / "episodes").exists()
+    assert call("tactile-envs", "record", ID, "--episodes", "3", "-w", "1", *objects) == 0
+    assert call("tactile-envs", "replay", "episodes", *objects) == 0
+    assert "3 episodes, 51 touches: all images and rewards are equal" in capsys.readouterr().out
+    assert call("tactile", "verify", "episodes") == 0
+    assert call("tactile", "info", "episodes") == 0
+    assert "mean return" in capsys.readouterr().out
+    assert "Episodes of TactileMNIST-Depth-test-v0" in (tmp_path / "episodes" / "README.md").read_text()
+    assert call("tactile", "select", "episodes", "--limit", "1", "--out", "one") == 0
+    assert call("tactile-envs", "replay", "one", *objects) == 2
+    assert "not a copy" in capsys.readouterr().err
+    evaluate = ("tactile-envs", "evaluate", ID, "--episodes", "4", "--seeds", "1", "-w", "1", *objects)
+    for policy in ("constant", "oracle"):
+        assert call(*evaluate, "--policy", policy, "--out", policy) == 0
+    assert call("tactile-envs", "compare", "constant", "oracle", "--out", "curves.png") == 0
+    assert "1 (1 to 1)" in capsys.readouterr().out
+    assert (tmp_path / "curves.png").stat().st_size > 5000
+    monkeypatch.setattr(recording, "_QUALITY", 40)
+    assert call("tactile-envs", "replay", "episodes", *objects) == 1
+    assert "touch 0 has another image" in capsys.readouterr().out
