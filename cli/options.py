@@ -88,7 +88,7 @@ CONFIG = text(metavar="NAME", panel=SOURCE, help="Configuration, if the card of 
 KIND = text(
     metavar="KIND",
     panel=SOURCE,
-    complete=("mnist3d", "starstruck", "realtouch", "tactile_sim", "wrench"),
+    complete=("mnist3d", "starstruck", "realtouch", "tactile_sim", "episodes", "wrench"),
     help="Kind of the rows, such as mnist3d or starstruck, where their columns do not tell it.",
 )
 

@@ -145,7 +145,7 @@ def test_rows_whose_columns_do_not_tell_their_kind_need_it_named(sets, tmp_path,
     unknown = "has the columns of several kinds, so that its kind is not known; next: add --kind mnist3d"
     refused(capsys, unknown, "tactile", "info", tmp_path)
     assert asked(capsys, "tactile", "info", str(tmp_path), "--kind", "mnist3d")[0] == 0
-    wrong = "--kind is 'digits'; expected one of mnist3d, realtouch"
+    wrong = "--kind is 'digits'; expected one of episodes, mnist3d, realtouch"
     refused(capsys, wrong, "tactile", "info", tmp_path, "--kind", "digits")
     refused(capsys, "holds scenes", "tactile", "info", sets / "scenes", "--kind", "mnist3d")
 

@@ -12,10 +12,11 @@ from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.kind import KIND as DIGITS
 from realtouch.kind import KIND as TOUCHES
 from starstruck_gen.kind import KIND as SCENES
+from tactile_envs.kind import KIND as EPISODES
 from tactile_sim.kind import KIND as SIMULATED
 from tactile_toolkit.kind import DatasetKind, kinds
 
-ALL = (DIGITS, TOUCHES, SCENES, SIMULATED, WRENCH)
+ALL = (EPISODES, DIGITS, TOUCHES, SCENES, SIMULATED, WRENCH)
 
 
 def test_all_kinds_are_found_by_their_entry_points():
