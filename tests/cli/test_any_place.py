@@ -126,8 +126,6 @@ def test_options_of_another_kind_are_refused(sets, tmp_path, capsys):
         (("export", "digits", "--finish", *out), "--finish has no effect on mesh files"),
         (("export", "seq", "--format", "stl", *out), "--format is 'stl'; expected one of png, jpeg"),
         (("export", "seq", *out), "--format is None; expected one of png, jpeg"),
-        (("export", "seq", "--format", "png", "--dry-run", *out), "--dry-run has no effect on rounds"),
-        (("export", "seq", "--format", "flat", "--ids", "3", *out), "--ids has no effect on an export"),
         (("verify", "digits", "--quick"), "--quick has no effect on the files of digits"),
         (("verify", "digits", "--split", "test"), "--split has no effect on the files of digits"),
     ):
