@@ -139,7 +139,7 @@ class EpisodeGenerator(generation.RowGenerator):
             libraries=("numpy", "pillow", "pyarrow"),
             smallest=self.spec.num_envs,
             largest=groups * self.spec.num_envs,
-            wanted=_SHARDS,
+            usual_shards=_SHARDS,
             sampled=self.spec.num_envs,
             together=self.spec.num_envs,
         )

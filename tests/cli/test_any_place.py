@@ -125,7 +125,7 @@ def test_options_of_another_kind_are_refused(sets, tmp_path, capsys):
         (("export", "digits", "--format", "png", *out), "--format is 'png'; expected one of stl, 3mf"),
         (("export", "digits", "--finish", *out), "--finish has no effect on mesh files"),
         (("export", "seq", "--format", "stl", *out), "--format is 'stl'; expected one of png, jpeg"),
-        (("export", "seq", *out), "--format is None; expected one of png, jpeg"),
+        (("export", "seq", *out), "--format is needed; expected one of png, jpeg"),
         (("verify", "digits", "--quick"), "--quick has no effect on the files of digits"),
         (("verify", "digits", "--split", "test"), "--split has no effect on the files of digits"),
     ):
