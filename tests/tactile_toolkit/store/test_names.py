@@ -158,7 +158,7 @@ def test_overwriting_removes_only_files_of_data_sets(finished, name):
 
 @pytest.mark.parametrize("name", SOME)
 def test_a_wild_record_of_a_download_is_refused(tmp_path, name):
-    file = {"bytes": 1, "kind": "sha256", "digest": "0" * 64}
+    file = {"bytes": 1, "digest": "0" * 64}
     values = {"repository": "a/b", "commit": "0" * 40, "revision": None, "splits": [], "labels": []}
     for wild in ({"files": {name: file}}, {"files": {}, "labels": [name]}):
         (tmp_path / RECORD_FILE).write_text(sealed({**values, **wild}))
