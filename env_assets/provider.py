@@ -59,11 +59,12 @@ def published_meshes(name: str) -> str | None:
     return kind.published[0].repo_id
 
 
-def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
+def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> MeshSet:
     """Open the shards of one split as a data set of their kind.
 
-    Raises InputError if they hold no meshes, or meshes of another kind than ``name`` states. The published
-    wrench has none of our columns, so meshes of an unknown kind are accepted for it.
+    Raises InputError if they hold no meshes, or meshes of another kind than ``name`` states, or ``needed``,
+    the name of the assets of an environment. The published wrench has none of our columns, so meshes of an
+    unknown kind are accepted for it, and for environments.
     """
     # Imported now: a process that is forked while another thread imports something waits forever for the lock
     # of that import. Arrow imports pandas, if it is there, when it first makes an array of numpy.
@@ -73,13 +74,17 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
     table = read.ShardedTable(shards)
     mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
     kind = places.kind_of_rows(table.schema)
-    expected = KINDS.get(name)
+    expected = KINDS.get(needed or name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
-    if expected is not None and kind is not expected and (kind is not None or expected.published):
+    accepts_unknown = needed or expected is None or not expected.published
+    if expected is not None and kind is not expected and (kind is not None or not accepts_unknown):
+        step = f"give a data set of {expected.nouns}"
+        if not needed:
+            step = f"give this data set another name, or {step}"
         raise errors.InputError(
             f"{name!r} was expected to hold {expected.nouns}, found "
             f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
-            next=f"give this data set another name, or give a data set of {expected.nouns}",
+            next=f"{step}, which `{expected.made_by}` makes",
         )
     dataset = SolidDataset if kind is None else kind.dataset
     opened: MeshSet = dataset(table, label_names=names)
@@ -366,17 +371,27 @@ class AssetProvider:
             raise errors.InputError(
                 f"unknown split {split!r} of {name}; expected one of {', '.join(default_set.splits)}"
             ) from error
-        if not self._generate:
-            folder = self.root / name
-            problem = error.what
-            if not folder.is_dir():
-                problem = "it does not exist"
-            out = f"--out {shlex.quote(str(folder))}"
-            command = " ".join(filter(None, (KINDS[name].made_by, default_set.arguments(split), out)))
-            raise errors.InputError(
-                f"no split {split!r} of {name!r} in {str(self.root)!r}: {problem}",
-                next=f"run `{command}`, or make the AssetProvider with generate=True",
-            ) from error
+        if self._generate:
+            return
+        folder = self.root / name
+        problem = error.what
+        if not folder.is_dir():
+            problem = "it does not exist"
+        step = "or make the AssetProvider with generate=True"
+        try:
+            default_set.rows_left(str(folder), split)
+        except (
+            errors.InputError,
+            errors.IntegrityError,
+        ):  # made otherwise, so that it takes no further split
+            root = self.root.with_name(f"{self.root.name}-{split}")
+            folder = root / name
+            step = f"and give {str(root)!r}; or add the split as the others were made"
+        command = (KINDS[name].made_by, default_set.arguments(split), f"--out {shlex.quote(str(folder))}")
+        raise errors.InputError(
+            f"no split {split!r} of {name!r} in {str(self.root)!r}: {problem}",
+            next=f"run `{' '.join(filter(None, command))}`, {step}",
+        ) from error
 
 
 def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trimesh:
@@ -413,16 +428,26 @@ def _absolute_path(source: str) -> str:
 
 
 def meshes_at(
-    source: str | os.PathLike[str], split: str, unit: str | None = None
+    source: str | os.PathLike[str], split: str, unit: str | None = None, needed: str = ""
 ) -> mesh_view.MeshView | MeshSet:
     """Open mesh files, or a data set by folder or name on the Hub; raises as :meth:`AssetProvider.meshes`.
 
-    ``unit`` is that of mesh files; InputError if the place holds none.
+    ``unit`` is that of mesh files; InputError if the source holds none. ``needed`` is the name of the assets
+    that an environment needs, such as ``"starstruck"``: a folder of data sets stands for the one of this
+    name, and a data set of another kind of the toolkit is refused.
     """
-    # An existing place in full: a name would first be looked for among the assets of the toolkit.
+    # An existing path in full: a name would first be looked for among the assets of the toolkit.
     named = _absolute_path(os.fspath(source))
-    files = mesh_view.mesh_files(named, split, unit)
-    if files is not None:
-        return files
+    folder = Path(named)
+    has_sets = needed in KINDS and store.path_exists(folder / needed) and (folder / needed).is_dir()
+    if not has_sets:
+        files = mesh_view.mesh_files(named, split, unit)
+        if files is not None:
+            return files
+        has_sets = needed in KINDS and any(
+            store.path_exists(folder / name / store.MANIFEST_FILE) for name in KINDS
+        )
     mesh.refuse_unit(unit, os.fspath(source))
-    return AssetProvider().meshes(named, split)
+    if has_sets:
+        return AssetProvider(folder).meshes(needed, split)
+    return open_meshes(AssetProvider()._shards(named, split), named, needed)

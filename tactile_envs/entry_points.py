@@ -57,8 +57,9 @@ class MakeOptions:
         Number of environments.
     assets : path or str, optional
         Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
-        folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
-        default they are made on first use in ``tactile-assets``; environments of classes begin meanwhile.
+        folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. A data
+        set of another kind than the id needs, such as digits for Starstruck, is refused. By default
+        they are made on first use in ``tactile-assets``; environments of classes begin meanwhile.
         For ids with ``RealSnap``: the touched digits and, unless `touches` are given, the touches; a folder
         of both (``mnist3d`` and ``real-single``) or a data set of touches, the published ones by default.
     unit : "mm", "cm", "m" or "in", optional

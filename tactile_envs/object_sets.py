@@ -18,14 +18,14 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from os import PathLike, fspath
+from os import PathLike
 from typing import Any
 
 from env_assets import AssetProvider, MeshView, mesh_view, provider
 from env_assets.provider import KINDS
 from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
-from tactile_toolkit import mesh, run, store
+from tactile_toolkit import mesh, run
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.wording import duration_text, printable, with_count
@@ -114,12 +114,7 @@ def _records(
         if repo_id is None:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(repo_id, split)
-    folder = store.expanded(fspath(assets))
-    is_folder_of_sets = name in KINDS and store.path_exists(folder) and (folder / name).is_dir()
-    if not is_folder_of_sets:
-        return provider.meshes_at(assets, split, unit)
-    mesh.refuse_unit(unit, fspath(assets))
-    return AssetProvider(folder).meshes(name, split)
+    return provider.meshes_at(assets, split, unit, name)
 
 
 def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:

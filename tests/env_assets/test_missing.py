@@ -2,14 +2,18 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
 
 import env_assets
+from env_assets.provider import meshes_at
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
+from tests.env_assets.factories import write_meshes
+from tests.env_assets.shapes import box
 from tests.forked import start_forked
 
 
@@ -104,3 +108,33 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
     manifest = read_manifest(open_folder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
     assert not list((tmp_path / "starstruck").rglob(".writing-*"))
+
+
+def test_a_split_that_cannot_be_added_is_made_in_another_folder(tmp_path):
+    """The set was made with other options, which the command of the message would not repeat."""
+    assert (
+        call(
+            "starstruck", "generate", "--scenes", "30", "--split", "train", "--out", tmp_path / "a/starstruck"
+        )
+        == 0
+    )
+    with pytest.raises(InputError, match="add the split as the others were made") as caught:
+        env_assets.AssetProvider(tmp_path / "a").meshes("starstruck", "test")
+    run_named_command(str(caught.value))
+    assert len(env_assets.AssetProvider(tmp_path / "a-test").meshes("starstruck", "test")) == 300
+
+
+def test_environments_get_the_kind_that_they_need(assets, tmp_path):
+    shutil.copytree(assets / "mnist3d", tmp_path / "own" / "mnist3d")
+    with pytest.raises(InputError, match=r"no split 'test' of 'starstruck'.*next: run `starstruck generate"):
+        meshes_at(tmp_path / "own", "test", needed="starstruck")
+    for needed, nouns in (("starstruck", "scenes"), ("wrench", "wrenches")):
+        with pytest.raises(InputError, match=f"was expected to hold {nouns}, found digits"):
+            meshes_at(tmp_path / "own" / "mnist3d", "test", needed=needed)
+    assert len(meshes_at(tmp_path / "own", "test", needed="mnist3d")) == len(
+        meshes_at(tmp_path / "own" / "mnist3d", "test", needed="mnist3d")
+    )
+    # Meshes of no kind of the toolkit, and kinds that it does not make, may be anything.
+    write_meshes(tmp_path / "boxes", [box((0, 0, 0), (1, 1, 1)).to_trimesh()], ("box",))
+    for source, needed in (("boxes", "starstruck"), ("boxes", "abc"), ("own/mnist3d", "abc")):
+        assert len(meshes_at(tmp_path / source, "test" if "own" in source else "train", needed=needed))
