@@ -295,7 +295,8 @@ def _rendered(capsys, *arguments) -> tuple[dict, str]:
 def test_contact_of_a_look_counts_the_object(tmp_path, capsys):
     """A block of 4 x 3 mm, 1 mm high: the gel touches it and the plate around it."""
     block((0.004, 0.003, 0.001)).apply_scale(1000).export(tmp_path / "low.stl")
-    found, note = _rendered(capsys, tmp_path / "low.stl", "--size", "80x60", "--out", tmp_path / "low.png")
+    words = ("--unit", "mm", "--size", "80x60", "--out", tmp_path / "low.png")
+    found, note = _rendered(capsys, tmp_path / "low.stl", *words)
     assert found["contact"] == pytest.approx(4 * 3 / (18.88 * 14.16), rel=0.1)
     assert note == ""
 
