@@ -77,7 +77,7 @@ def find_folder(
     source_files.require_columns(lines.columns, [columns.image], opened.path)
     paths = list(map(source_files.path_of, lines.texts(columns.image)))
     duplicates = source_files.duplicates_of(paths, source_files.FILE_OF_TABLE)
-    yield source_files.image_files(home, paths, lines.columns, duplicates)
+    yield source_files.image_files(home, ledger, paths, lines.columns, duplicates)
 
 
 def _images(home: store.DataFolder) -> list[str]:
@@ -115,7 +115,7 @@ def _labelled(
         fields["label"] = pa.array(labels, pa.string())
         level = "second" if is_split else "outermost"
         ledger.notes[f"the classes are the {level} folders, such as {labels[0]!r} of {paths[0]!r}"] = None
-    return source_files.image_files(home, paths, fields)
+    return source_files.image_files(home, ledger, paths, fields)
 
 
 def find_video(
@@ -339,4 +339,4 @@ def find_anytouch(
             "round_id": pa.array(rounds, pa.string()),
             "split": column_types.repeated(split, len(paths)),
         }
-        yield source_files.image_files(home, paths, fields, dict.fromkeys(left_out, problem))
+        yield source_files.image_files(home, ledger, paths, fields, dict.fromkeys(left_out, problem))

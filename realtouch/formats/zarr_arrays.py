@@ -12,7 +12,7 @@ import math
 import weakref
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib import import_module
@@ -37,6 +37,7 @@ _DIRECTIONS = {"C": 1, "F": -1}
 # Zarr 3: the prefix of the names of chunks, and the default separator of their numbers.
 _CHUNK_KEYS = {"default": ("c{}", "/"), "v2": ("", ".")}
 _MAX_CHUNKS = 1 << 18
+_SPARSE_VERSION = 3  # whose writers leave out chunks of the fill value
 _ARRANGING = ("bytes", "transpose")  # codecs of Zarr 3 that arrange the values of a chunk
 
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
@@ -176,11 +177,19 @@ LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
 """Functions that read the metadata of an array, by the version of Zarr."""
 
 
+def _is_chunk(path: str) -> bool:
+    return path.rpartition("/")[2] not in (*_METADATA.values(), ".zattrs")
+
+
 class ZarrGroup:
-    """A group, given by its path below the source: a folder or a ``.zip`` file."""
+    """A group, given by its path below the source: a folder or a ``.zip`` file.
+
+    ``absent`` counts the chunks of each array that were read as the fill value, as they are not stored.
+    """
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
         self.home, self.path, self.address = home, path, home.address(path)
+        self.absent: dict[str, int] = {}
         is_folder = (home.info(path) or {}).get("type") == "directory"
         self.is_zip = path.lower().endswith(".zip") and not is_folder
 
@@ -242,8 +251,13 @@ class ZarrGroup:
         by_version = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in by_version.items() if stated), (0, {}))
 
-    def array(self, path: str) -> picture_arrays.StoredArray:
-        """Return an array after a check of its metadata; InputError if it cannot be read."""
+    def array(self, path: str, *, holds_pictures: bool = False) -> picture_arrays.StoredArray:
+        """Return an array after a check of its metadata; InputError if it cannot be read.
+
+        Chunks that are not stored hold the fill value where programs leave them out: in arrays of Zarr 3, in
+        arrays without any chunk, and beside other chunks of the same pictures. Reading any other missing
+        chunk raises IntegrityError.
+        """
         version, stated = self._stated(path)
         try:
             layout = LAYOUTS[version](stated)
@@ -254,7 +268,10 @@ class ZarrGroup:
         if problem:
             raise self.refused(path, problem)
         cache.require_unpackable(layout.chunk_bytes, f"{address}: a chunk")
-        read = partial(self._block, path, layout)
+        is_sparse = not holds_pictures and (
+            version == _SPARSE_VERSION or not any(map(_is_chunk, self._files_of(path)))
+        )
+        read = partial(self._block, path, layout, is_sparse, holds_pictures)
         size = partial(self._stored_bytes, path)
         return picture_arrays.StoredArray(address, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
@@ -269,24 +286,43 @@ class ZarrGroup:
             return self.home.size_bytes(self.path)
         return sum(map(self.home.size_bytes, self.home.walk(self._below(path))))
 
-    def _block(self, path: str, layout: ZarrLayout, number: int) -> AnyArray:
+    def _files_of(self, path: str) -> Iterator[str]:
+        """Yield the paths of the files of an array, without their order."""
+        if self.is_zip:
+            return (name for name in self._archive.NameToInfo if name.startswith(f"{path}/"))
+        return self.home.walk(self._below(path))
+
+    def _block(
+        self, path: str, layout: ZarrLayout, is_sparse: bool, holds_pictures: bool, number: int
+    ) -> AnyArray:
         step, *parts = layout.chunks
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
         cache.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.address}/{path}: {size} values")
         values: AnyArray = np.broadcast_to(layout.fill, size)  # the value where no chunk is stored
+        missing = list[str]()
         for index in product(*map(range, layout.counts[1:])):
-            chunk = self._chunk(path, layout, (number, *index))
-            if chunk is not None:
+            name = f"{path}/{layout.prefix}{layout.separator.join(map(str, (number, *index)))}"
+            chunk = self._chunk(name, layout)
+            if chunk is None:
+                missing.append(name)
+            else:
                 if not values.flags.writeable:
                     values = np.array(values, dtype)
                 spans = (slice(at * part, (at + 1) * part) for at, part in zip(index, parts, strict=True))
                 target = values[(slice(None), *spans)]
                 target[...] = chunk[tuple(map(slice, target.shape))]
+        is_part = holds_pictures and values.flags.writeable  # some chunks of these pictures are stored
+        if missing and not (is_sparse or is_part):
+            raise errors.IntegrityError(
+                f"'{self.address}/{missing[0]}' is missing; expected every chunk of the array, which was "
+                "perhaps not copied whole",
+                next=f"copy the group again, or leave the array out: --map {path.rpartition('/')[2]}=",
+            )
+        self.absent[path] = self.absent.get(path, 0) + len(missing)
         return values
 
-    def _chunk(self, path: str, layout: ZarrLayout, index: tuple[int, ...]) -> AnyArray | None:
-        name = f"{path}/{layout.prefix}{layout.separator.join(map(str, index))}"
+    def _chunk(self, name: str, layout: ZarrLayout) -> AnyArray | None:
         data = self.read(name, 2 * layout.chunk_bytes + _SPARE_BYTES)
         if data is None:
             return None

@@ -20,7 +20,7 @@ from realtouch.formats import picture_arrays, zarr_arrays
 from realtouch.formats.exports import CONTACT
 from realtouch.importing import source_files, source_touches
 from realtouch.touches.rounds import touch_id
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
 
@@ -134,14 +134,19 @@ def recordings_of(
     or if a named column cannot be used.
     """
     name, sensor = pictures
-    shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
+    shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}", holds_pictures=True), sensor)
     part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
-    arrays = {array: partial(group.array, f"{DATA}/{array}") for array in names if array != name}
+    ignored = {name, *(array for array, source in columns.extra if not source)}
+    arrays = {array: partial(group.array, f"{DATA}/{array}") for array in names if array not in ignored}
     of_meta = {
         array: partial(group.array, f"meta/{array}") for array in group.arrays("meta") if array in _OF_META
     }
     required = {*columns.found_in(arrays).names(), source_files.NUMBERED}
     arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), required)
+    for array, count in group.absent.items():
+        if count:
+            chunks = wording.with_count(count, "chunks")
+            left_out.append(f"{array.removeprefix('data/')} ({chunks} not stored, taken as the fill value)")
     per_frame = {array: column_types.column_of(values) for array, values in arrays_read.items()}
     source = (name, group.home.address(), group.path, part)
     whole = source_touches.Recording(
@@ -168,7 +173,7 @@ def recordings_of(
 
 def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, sensor, name = part.split(" ", 2)
-    array = zarr_arrays.ZarrGroup(home, path).array(name)
+    array = zarr_arrays.ZarrGroup(home, path).array(name, holds_pictures=True)
     return picture_arrays.PictureArray(array, float(divisor), int(sensor) if sensor else None)
 
 

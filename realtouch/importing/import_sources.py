@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pyarrow as pa
@@ -59,8 +60,20 @@ class ReadSource:
 def versions_of(
     files: Iterable[source_touches.File], opened: Callable[[str], store.DataFolder]
 ) -> dict[source_touches.File, Version]:
-    """Return the version of each file, given by folder and path; it changes if the file is replaced."""
-    return {(home, path): opened(home).version(path) for home, path in files}
+    """Return the version of each file, given by folder and path; it changes if the file is replaced.
+
+    That of a folder, such as a group of Zarr, changes with each file in it.
+    """
+    return {(home, path): _version(opened(home), path) for home, path in files}
+
+
+def _version(folder: store.DataFolder, path: str) -> Version:
+    if (folder.info(path) or {}).get("type") != "directory":
+        return folder.version(path)
+    digest = hashlib.sha256()
+    for file in folder.walk(path):
+        digest.update(f"{file} {folder.version(file)}\n".encode(errors="surrogateescape"))
+    return (digest.hexdigest(),)
 
 
 def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
@@ -108,7 +121,8 @@ def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
     ledger.used.update(_addresses(touches), aligner.tables)
     for path in own_tables:
         ledger.use(*source_files.source_of(path))
-    if not format_.is_export and not _is_file(home):
+    is_file = home.is_local and Path(home.address()).is_file()
+    if not (format_.is_export or is_file or home.address() in ledger.used):
         _list_unread(home, format_.layout, ledger)
     has_streams = bool(aligner.tables)
     reads_times = has_streams or cutter.reads_times
@@ -172,10 +186,6 @@ def _require(needs: Iterable[Need], layout: str) -> None:
             )
 
 
-def _is_file(home: store.DataFolder) -> bool:
-    return (home.info("") or {}).get("type") == "file"
-
-
 def _addresses(touches: source_touches.SourceTouches) -> Iterator[str]:
     """Yield the addresses of the files of touches, each once."""
     for row in touches.listing.group_by(["home", "path"]).aggregate([]).to_pylist():
@@ -211,9 +221,9 @@ def _read_folders(
 ) -> Iterator[source_touches.SourceTouches | source_touches.Recording]:
     """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
-    if layout in home.entries():
+    if layout in ledger.entries(home):
         folders = [store.open_folder(home.address(layout))]
-    entries = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
+    entries = {name: size for name, size in ledger.entries(folders[0]).items() if not store.is_hidden(name)}
     splits = [name for name, size in entries.items() if size is None]
     if layout in _SPLIT_FOLDERS and len(splits) == len(entries) > 0:
         folders = [store.open_folder(folders[0].address(split)) for split in splits]

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import chain, groupby, islice, repeat
 from operator import itemgetter
+from pathlib import Path
 from typing import NamedTuple
 
 import pyarrow as pa
@@ -59,18 +60,30 @@ class Ledger:
     used: set[str] = field(default_factory=set)
     left_out: dict[str, None] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
+    _listed: dict[str, Mapping[str, int | None]] = field(default_factory=dict)
 
     def use(self, folder: store.DataFolder, path: str) -> None:
         """Note that a file, or all of a folder, was read."""
         self.used.add(folder.address(path))
 
-    def unread(self, home: store.DataFolder) -> Iterator[str]:
-        """Return the visible files of a folder that were not read."""
+    def entries(self, home: store.DataFolder, folder: str = "") -> Mapping[str, int | None]:
+        """List a sub-folder once, as :meth:`store.DataFolder.entries` does."""
+        address = home.address(folder)
+        if address not in self._listed:
+            self._listed[address] = home.entries(folder)
+        return self._listed[address]
 
-        def skips(path: str) -> bool:
-            return store.is_hidden(path) or f"{home.address()}/{path}" in self.used
-
-        return home.walk(skips=skips)
+    def unread(self, home: store.DataFolder, folder: str = "") -> Iterator[str]:
+        """Yield the visible files and links of a folder that were not read."""
+        for name, size in self.entries(home, folder).items():
+            path = f"{folder}/{name}".lstrip("/")
+            address = home.address(path)
+            if store.is_hidden(path) or address in self.used:
+                continue
+            if size is None and not (home.is_local and Path(address).is_symlink()):
+                yield from self.unread(home, path)
+            else:
+                yield path
 
 
 def path_of(text: str) -> str:
@@ -199,6 +212,7 @@ def problems_of_names(paths: Iterable[str]) -> dict[int, errors.ItemError]:
 
 def image_files(
     home: store.DataFolder,
+    ledger: Ledger,
     paths: Sequence[str],
     fields: Mapping[str, pa.Array],
     problems: Mapping[int, errors.ItemError] | None = None,
@@ -207,7 +221,6 @@ def image_files(
 
     Folders are listed once. An image is opened and checked when it is imported.
     """
-    entries_of = cache(home.entries)
     sizes = [0] * len(paths)
     unnamed = problems_of_names(paths)
     wrong = {**(problems or {}), **unnamed}
@@ -216,7 +229,7 @@ def image_files(
         if number in unnamed:
             continue
         try:
-            size = entries_of(parent).get(base, -1)
+            size = ledger.entries(home, parent).get(base, -1)
         except errors.InputError:  # the folder cannot be listed
             size = 0
         if size == -1:

@@ -141,17 +141,12 @@ class DataFolder(Protocol):
         """List the files directly in a sub-folder with their sizes in bytes, sorted by name."""
         return {name: size for name, size in self.entries(folder).items() if size is not None}
 
-    def walk(self, folder: str = "", skips: Callable[[str], bool] | None = None) -> Iterator[str]:
-        """Yield the paths of all files and links in a sub-folder and below it, in order of their names.
-
-        A file or folder that ``skips`` is true of is left out, with everything in it.
-        """
+    def walk(self, folder: str = "") -> Iterator[str]:
+        """Yield the paths of all files and links in a sub-folder and below it, in order of their names."""
         for name, size in self.entries(folder).items():
             path = f"{folder}/{name}".lstrip("/")
-            if skips is not None and skips(path):
-                continue
             if size is None and not (self.is_local and Path(self.address(path)).is_symlink()):
-                yield from self.walk(path, skips)
+                yield from self.walk(path)
             else:
                 yield path
 

@@ -16,7 +16,8 @@ import pytest
 
 import realtouch
 from realtouch.formats.zarr_export import ZarrWriter
-from tactile_toolkit.errors import InputError
+from realtouch.importing import import_sources
+from tactile_toolkit.errors import InputError, IntegrityError
 from tests.command_line import call
 
 FRAMES = np.random.default_rng(3).integers(0, 256, (6, 12, 16, 3), np.uint8)
@@ -318,14 +319,70 @@ def test_lossless_arrays_are_read_as_zarr_reads_them(version: Any, tmp_path: Pat
         options += [{"serializer": codecs.BytesCodec(endian="big")}]
         options += [{"chunk_key_encoding": {"name": "v2", "separator": "."}}]
     frames = FRAMES.copy()
-    frames[2:4] = 0
+    frames[2:4, :5, :7] = 0
+    force = np.array([0, 0, 1, 2, 0, 0.5])
     for number, option in enumerate(options):
         root = tmp_path / f"{number}.zarr"
         group = zarr.open_group(root, mode="w", zarr_format=version)
         dtype = ">u2" if option.get("order") == "F" or "serializer" in option else "u1"
         array = group.create_array("data/img", shape=frames.shape, chunks=(2, 5, 7, 3), dtype=dtype, **option)
         array[...] = frames
+        plain = group.create_array(
+            "data/force", shape=(6,), chunks=(2,) if version == 3 else (6,), dtype="f8"
+        )
+        plain[...] = force
         group.create_array("meta/episode_ends", data=ENDS)
         found = imported(root, tmp_path / f"out-{number}").touches()
         read = zarr.open_group(root, mode="r")["data/img"][...]
         assert np.array_equal(np.stack([touch.image for touch in found]), read), option
+        assert [touch.extra["force"] for touch in found] == force.tolist()
+
+
+def half_copied(home: Path, array: str) -> Path:
+    """Write a buffer whose arrays have six chunks, and lose one chunk of an array, or all."""
+    path = home / "a.zip"
+    with path.open("wb") as stream, ZarrWriter(stream) as group:
+        for name, values in (("data/img", FRAMES), ("data/force", np.arange(6.0))):
+            group.add_blocks(name, values.shape, values.dtype, 1, np.array_split(values, 6))
+        group.add_blocks("meta/episode_ends", ENDS.shape, ENDS.dtype, len(ENDS), [ENDS])
+    source = unzipped(path)
+    for chunk in source.glob(array):
+        chunk.unlink()
+    return source
+
+
+@pytest.mark.parametrize("array", ["data/img/3.0.0.0", "data/force/5"])
+def test_a_chunk_that_is_missing_is_named(array: str, tmp_path: Path) -> None:
+    source = half_copied(tmp_path, array)
+    with pytest.raises(IntegrityError, match=f"{array}' is missing; expected every chunk .*next: copy the"):
+        imported(source, tmp_path / "out")
+    assert not list((tmp_path / "out").rglob("*.parquet"))
+    if "force" in array:
+        touches = imported(source, tmp_path / "out", IMAGE.with_mapped(["force="])).touches()
+        assert len(touches) == 6
+        assert not touches[0].extra
+
+
+def test_an_array_without_any_chunk_is_constant_and_stated(tmp_path: Path) -> None:
+    source = half_copied(tmp_path, "data/force/[0-9]")
+    touches = imported(source, tmp_path / "out").touches()
+    assert {touch.extra["force"] for touch in touches} == {0.0}
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["spec"]["left_out"] == ["force (6 chunks not stored, taken as the fill value)"]
+
+
+def test_a_chunk_that_changes_before_it_is_read_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = half_copied(tmp_path, "nothing")
+    find = import_sources.find_source
+
+    def changed(*arguments: Any) -> Any:
+        found = find(*arguments)
+        chunk = source / "data" / "img" / "2.0.0.0"
+        chunk.write_bytes((source / "data" / "img" / "1.0.0.0").read_bytes())
+        return found
+
+    monkeypatch.setattr(import_sources, "find_source", changed)
+    with pytest.raises(IntegrityError, match="was replaced or changed while it was imported"):
+        imported(source, tmp_path / "out")

@@ -18,6 +18,7 @@ from PIL import Image
 import realtouch
 from realtouch.formats.lerobot_import import find_lerobot
 from realtouch.formats.zarr_recordings import find_oxt, find_replay
+from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
@@ -39,7 +40,7 @@ def with_extras(source: Path, home: Path, columns: dict[str, list[Any]]) -> Path
 
 
 def found(find: Any, home: Path) -> list[Recording]:
-    return list(find(store.open_folder(str(home)), realtouch.ImportColumns(), None))
+    return list(find(store.open_folder(str(home)), realtouch.ImportColumns(), None, Ledger()))
 
 
 def exported(home: Path, out: Path) -> tuple[pa.Table, dict[str, Any], dict[str, Any]]:

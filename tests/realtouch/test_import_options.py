@@ -44,6 +44,7 @@ ALIGNMENT: dict[str, Any] = {
     "time_offset_s": 3.0,
     "duration_tolerance": 0.5,
 }
+LIMITS = {"max_left_out"}  # which intact sources do not reach
 SPEC: dict[str, Any] = {
     "layout": NO,
     "table": "table.csv",
@@ -97,7 +98,7 @@ def source_of(single_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 def test_every_option_and_format_is_tried() -> None:
     assert {field.name for field in fields(realtouch.ImportColumns)} == {*COLUMNS}
     assert {field.name for field in fields(realtouch.Alignment)} == {*ALIGNMENT}
-    assert {field.name for field in fields(realtouch.ImportSpec)} == {*SPEC, "columns", "alignment"}
+    assert {field.name for field in fields(realtouch.ImportSpec)} == {*SPEC, *LIMITS, "columns", "alignment"}
     assert {*IMPORTS} == {*EXPORTED, *MADE}
 
 

@@ -186,7 +186,7 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
     assert first.part.endswith("data/left_tactile_data_tip")
     with pytest.raises(InputError, match="no arrays of pictures, but"):
         recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
-    source = write(tmp_path / "d.zarr", {"camera_ego_rgb": arrays()["camera_ego_rgb"]})
+    source = write(tmp_path / "d.zarr", {"camera_ego_rgb": np.full((T, 8, 8, 3), 9, np.uint8)})
     for name in ("", "camera_ego_rgb"):
         with pytest.raises(InputError, match="next: --format replay --map image=camera_ego_rgb imports"):
             recordings(source, name)
