@@ -257,7 +257,7 @@ def _require_format(kind: DatasetKind, file_format: str | None, known: tuple[str
         problem = "is needed" if file_format is None else f"is {file_format!r}"
         raise InputError(
             f"{problem}; expected one of {', '.join(known)} for {kind.nouns}",
-            next=f"add --format {known[0]}",
+            next=f"give --format {known[0]}",
             field="file_format",
         )
 

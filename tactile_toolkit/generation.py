@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
@@ -218,7 +218,10 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     chosen_splits = splits or known
     for split in chosen_splits:
         if split not in known:
-            raise errors.InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
+            raise errors.InputError(
+                f"unknown split {split!r}; expected {wording.alternatives([*known, 'all'])}",
+                next="choose one of them",
+            )
     # Tasks are in canonical order, whatever the order of ``splits``, and so are shards in the manifest.
     chosen = {split: split_items for split, split_items in items.items() if split in chosen_splits}
     tasks = tuple(

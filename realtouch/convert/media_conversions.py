@@ -99,7 +99,8 @@ def _plan_images(
 ) -> conversion.Conversion:
     if opened.kind != "seq":
         raise errors.InputError(
-            f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
+            f"{opened.name!r} holds single images already; expected a data set of clips (seq)",
+            next="use it as it is",
         )
     opened.require_frame(method)
     return conversion.Conversion(

@@ -122,7 +122,8 @@ class PairGenerator(generation.RowGenerator):
         opened: touched_solids.Opener = places.open_place,
     ) -> PairGenerator:
         """Open both sources by their names; InputError for other kinds of data, or without meshes."""
-        sources = [opened(objects).require_meshes("tactile-sim pairs"), opened(real)]
+        asked = "tactile-sim pairs"
+        sources = [opened(objects).require_meshes(asked), opened(real).require(KIND, asked)]
         solids = touched_solids.open_split(sources[0], split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")

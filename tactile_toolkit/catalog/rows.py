@@ -136,7 +136,11 @@ def shards_to_check(
     Raises InputError if there is none, IntegrityError if a shard is damaged or missing, or if the data set is
     unfinished: a check of the rest must not look like one of all.
     """
-    source = places.open_place(name).require(kind, f"{kind.package} validate").require_complete(split)
+    source = (
+        places.open_place(name)
+        .require(kind, f"{kind.made_by.partition(' ')[0]} validate")
+        .require_complete(split)
+    )
     shards = [
         (split_name, shard)
         for split_name in source.chosen_splits(split)

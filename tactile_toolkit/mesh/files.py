@@ -101,10 +101,17 @@ class MeshFile:
     def ending(self) -> str:
         """Ending of the name, in lower case; InputError for an unknown one."""
         ending = self.path.suffix.lower()
-        if ending not in self.FORMATS:
-            files = f"files ending in {ending!r}" if ending else "files without an ending"
-            raise InputError(f"{self.path}: {files} are not known; expected one of {', '.join(self.FORMATS)}")
-        return ending
+        if ending in self.FORMATS:
+            return ending
+        problem = f"files ending in {ending!r} are not known" if ending else "files have an ending"
+        if self.path.is_dir():
+            problem = "it is a folder"
+        elif not self.path.exists():
+            problem = "there is no such file"
+        raise InputError(
+            f"{self.path}: {problem}; expected a file ending in {', '.join(self.FORMATS)}",
+            next="give the path of a mesh file",
+        )
 
     @property
     def name(self) -> str:

@@ -37,7 +37,8 @@ def require_unit(unit: str | None) -> None:
 def refuse_unit(unit: str | None, name: str) -> None:
     """Raise InputError if a unit is given for something that is not a mesh file."""
     if unit is not None:
-        raise InputError(f"is for mesh files, and {name!r} is not one; data sets are in metres", field="unit")
+        problem = f"is for mesh files, and {name!r} is not one; data sets are in metres"
+        raise InputError(problem, next="leave it out", field="unit")
 
 
 def require_likely_size(size_mm: float, unit: str | None, stated: str | None) -> None:
