@@ -77,6 +77,9 @@ class MakeOptions:
         Recorded touches for ids with ``RealSnap``: a data set by folder or name on the Hub, or
         ``"published"``. Volumes need the touched digits; classes do not, but pictures show them if `assets`
         are given.
+    task : callable, optional
+        Makes another task than that of the id: takes the :class:`~tactile_envs.mesh_pool.MeshPool` of the
+        objects, and returns a :class:`~tactile_envs.tasks.Task`. Not for recorded touches.
     autoreset_mode : gymnasium.vector.AutoresetMode or str
         When the next episode begins; see :class:`tactile_envs.TactileVectorEnv`.
     max_episode_steps : int, optional
@@ -91,6 +94,7 @@ class MakeOptions:
     threads: int = 1
     weights: str | Path | None = None
     touches: str | PathLike[str] | None = None
+    task: Callable[[mesh_pool.MeshPool], tasks.Task] | None = None
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
     max_episode_steps: int | None = None
 
@@ -192,6 +196,8 @@ def _simulated(
         cells = kind_of_scene(config, records, options.num_envs, options.threads, seen_by)
     except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
         raise error.with_traceback(None) from None
+    if options.task is not None:
+        return cells, options.task(cells.pool)
     return cells, _task(spec, config, cells.pool, records.label_names)
 
 
@@ -200,6 +206,10 @@ def _recorded(
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return recorded touches in cells, and the task of an environment; InputError if digits are missing."""
     mesh.refuse_unit(options.unit, "recorded touches")
+    if options.task is not None:
+        raise errors.InputError(
+            f"`task` was given; {spec.assets} of recorded touches have the task of their id"
+        )
     sources = recorded_sets.RecordedSources.of(options.assets, options.touches)
     touches = recorded_sets.RecordedTouches.open(sources.touches, spec.split, config)
     objects = None

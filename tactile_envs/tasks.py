@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import ap_gym
 import gymnasium as gym
@@ -61,8 +62,37 @@ class Classification:
         return drawing.PredictionView(softmax(predictions, axis=1), targets, names=self._names)
 
 
-class _Regression:
-    """Mean squared error, normalised by that of the best constant prediction."""
+class Task(Protocol):
+    """What is predicted: spaces, true answers, loss and metrics.
+
+    `loss_fn` is the loss for agents that differentiate it, an ``ap_gym.LossFn``; `score` must agree with it.
+    """
+
+    loss_fn: Any
+
+    @property
+    def prediction_space(self) -> config.Space:
+        """Space of one prediction."""
+
+    @property
+    def target_space(self) -> config.Space:
+        """Space of one answer."""
+
+    def targets(self, chosen: Int64, objects: Float64) -> AnyArray:
+        """Return the answers for objects by number (n,), at (n, 3): x, y, metres, and rotation, radians."""
+
+    def score(self, predictions: AnyArray, targets: AnyArray) -> Score:
+        """Return the loss of each prediction, and the metrics."""
+
+    def view(self, predictions: AnyArray, targets: AnyArray) -> drawing.PredictionView:
+        """Return what pictures show of predictions."""
+
+
+class Regression:
+    """Mean squared error, normalised by that of the best constant prediction: a base of tasks.
+
+    ``space`` is that of predictions and answers, ``target_std`` the standard deviation of the answers.
+    """
 
     def __init__(self, space: config.Space, target_std: ArrayLike) -> None:
         self.prediction_space = self.target_space = space
@@ -78,15 +108,20 @@ class _Regression:
         metrics = {
             "euclidean_distance": distance,
             "mse": mean_square,
-            **self._other_metrics(predictions, targets),
+            **self.other_metrics(predictions, targets),
         }
         return Score(mean_square * self._scale, metrics)
 
-    def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
-        raise NotImplementedError
+    def other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
+        """Return further metrics, shape (n,) each; none by default."""
+        return {}
+
+    def view(self, predictions: AnyArray, targets: AnyArray) -> drawing.PredictionView:
+        """Show nothing of predictions."""
+        return drawing.PredictionView()
 
 
-class Volume(_Regression):
+class Volume(Regression):
     """Volume of an object, in standard deviations from the mean of all objects.
 
     ``volumes_m3``, shape (n,), are those of all objects. ``which``, if given, is the number of the
@@ -115,7 +150,8 @@ class Volume(_Regression):
             both / self._most_m3, np.ones(len(both), np.int64), names=("guess", "truth")
         )
 
-    def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
+    def other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
+        """Return the error in cm3, and the quotient of both volumes."""
         guess_m3 = predictions[:, 0] * self._std_m3 + self._mean_m3
         true_m3 = targets[:, 0] * self._std_m3 + self._mean_m3
         return {
@@ -125,7 +161,7 @@ class Volume(_Regression):
         }
 
 
-class ObjectPose(_Regression):
+class ObjectPose(Regression):
     """Position of an object, in halves of the cell, and direction of its x axis.
 
     With ``of_mass``, only the position of its centre of mass.
@@ -164,7 +200,8 @@ class ObjectPose(_Regression):
             positions_m=predictions[:, :2] * self._half_cell_m, directions=directions
         )
 
-    def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
+    def other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
+        """Return the distance in metres, and the angle in radians if there is a direction."""
         off_m = (predictions[:, :2] - targets[:, :2]) * self._half_cell_m
         measured = {"linear_error": np.sqrt((off_m * off_m).sum(axis=1))}
         if self._has_direction:
@@ -191,10 +228,6 @@ class ObjectPose(_Regression):
         if self._has_direction:
             variances = np.concatenate([variances, [cosine.var(), sine.var()]])
         return np.asarray(variances)
-
-
-Task = Classification | Volume | ObjectPose
-"""A task of any kind."""
 
 
 def placements_m(hull: Float32, turn_rad: float, config: Config) -> tuple[Float64, Float64]:

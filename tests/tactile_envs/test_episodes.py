@@ -11,8 +11,10 @@ import trimesh
 
 pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 
+import gymnasium as gym
+
 import realtouch
-from tactile_envs import evaluation, policies, recording, replays
+from tactile_envs import evaluation, policies, recording, replays, tasks
 from tactile_envs.config import Action, Observation
 from tactile_envs.entry_points import make_vector
 from tactile_envs.episodes import EpisodeSpec
@@ -259,6 +261,30 @@ def test_unknown_environments_are_refused(assets):
     for options in ({"assets": assets}, {}):
         with pytest.raises(InputError, match="names no environment of touch: 'gymnasium:CartPole-v1'"):
             recording.record(EpisodeSpec("gymnasium:CartPole-v1", 1, **options), "random", "never")
+
+
+class HalfHeight(tasks.Regression):
+    """Half of the height of an object."""
+
+    def __init__(self, pool: Any) -> None:
+        self.answers = (500 * pool.grids[:, 12:13]).astype(np.float32)
+        super().__init__(gym.spaces.Box(0.0, 100.0, (1,)), 2.0)
+
+    def targets(self, chosen: Any, objects: Any) -> Any:
+        return self.answers[chosen]
+
+
+def test_a_task_of_ones_own_is_scored_by_its_own_answers(assets):
+    env = make_vector(ID, num_envs=3, assets=assets, task=HalfHeight, render_mode="rgb_array")
+    env.reset(seed=0)
+    halves_mm = [500 * np.ptp(record.vertices_m[:, 2]) for record in env.current_data_points]
+    action = {**env.action_space.sample(), "prediction": np.ones((3, 1), np.float32)}
+    *_, info = env.step(action)
+    np.testing.assert_allclose(info["prediction"]["target"][:, 0], halves_mm, rtol=1e-6)
+    np.testing.assert_allclose(info["prediction"]["loss"], (np.array(halves_mm) - 1) ** 2 / 4, rtol=1e-5)
+    assert env.render()[0].shape == (240, 336, 3)
+    with pytest.raises(InputError, match="have the task of their id"):
+        make_vector("TactileMNISTRealSnap-train-v0", assets=assets, task=HalfHeight)
 
 
 def test_the_command_line_records_replays_evaluates_and_compares(tmp_path, assets, monkeypatch, capsys):
