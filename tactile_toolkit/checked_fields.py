@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _RULE = "rule"
 _MAX_INTEGER = (1 << 63) - 1
-_MAX_ENTRIES = 1 << 20  # of an iterator, which cannot state its length
+_MAX_ENTRIES = 1 << 20  # of an array, or of an iterator, which cannot state its length
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 _PLACEHOLDERS: dict[type, str] = {float: "X"}
 Declared: TypeAlias = Any
@@ -226,9 +226,11 @@ def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:
     """Return a value with tuples for all iterables and Python's numbers for all numbers.
 
     With ``kind`` ``float``, integers become floats; with ``int`` numbers keep their kind. A value that is
-    neither a number nor an iterable is returned unchanged, for the checks that follow.
+    neither a number nor an iterable is returned unchanged, for the checks that follow, as is an array of
+    too many entries.
     """
-    if isinstance(value, (str, bytes, Mapping)):
+    too_many = math.prod(getattr(value, "shape", ())) > _MAX_ENTRIES
+    if too_many or isinstance(value, (str, bytes, Mapping)):
         return value
     # An array without dimensions is a number, although its type is iterable.
     if isinstance(value, Iterator):

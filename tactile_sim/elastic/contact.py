@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactile_sim.checked_arrays import real_array, shown
 from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.errors import InputError
@@ -321,12 +322,10 @@ def _checked_number(name: str, value: object, least: float, most: float) -> floa
 
 
 def _checked_heights(height_m: ArrayLike) -> Float64:
-    try:
-        heights = np.asarray(height_m)
-    except ValueError:
-        heights = np.empty(0, object)
-    _require(heights.dtype.kind in "iuf", "height_m is not an array of real numbers; expected shape (H, W)")
-    heights = np.ascontiguousarray(heights, np.float64)
+    heights = real_array(height_m)
+    if heights is None:
+        raise InputError(f"height_m is {shown(height_m)}; expected an array of real numbers, shape (H, W)")
+    heights = np.ascontiguousarray(heights)
     _require(
         heights.ndim == 2 and 0 < heights.size <= touch.MAX_IMAGE_PIXELS,
         f"height_m has shape {heights.shape}; expected (H, W), at most {touch.MAX_IMAGE_PIXELS:,} pixels",

@@ -27,7 +27,7 @@ from tactile_sim.learned.networks import (
     published_weights,
     read_weights,
 )
-from tactile_sim.optics.rendering import Optics
+from tactile_sim.optics.rendering import Optics, require_images
 from tactile_sim.optics.sensor_noise import SensorNoise, draw_noise
 from tactile_sim.press.sensors import Sensor, center_view, checked_size_px
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
@@ -263,10 +263,7 @@ class DepthEstimator:
             The images have another shape or type, or the size is not valid.
         """
         width, height = checked_size_px(size_px)
-        if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not images.size:
-            raise InputError(
-                f"images are {images.dtype} of shape {images.shape}; expected uint8 (n, height, width, 3)"
-            )
+        require_images(images, "images")
         made = generated(
             self._generator,
             lambda pictures: 2 * shades_of(picture_channels(pictures), self.input_size_px) - 1,

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_sim.press.sensors import OPTICS, Sensor
+from tactile_sim.checked_arrays import is_real_array, shown
+from tactile_sim.press.sensors import OPTICS, Sensor, checked_size_px
 from tactile_toolkit import touch
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
@@ -27,9 +28,9 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
 
 def require_images(images: AnyArray, name: str) -> None:
     """Raise InputError unless an array holds one image or more, uint8, of shape (n, H, W, 3)."""
-    shape = images.shape
-    if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
-        raise InputError(f"{name} are {images.dtype} of shape {shape}; expected uint8 (n, height, width, 3)")
+    fits = is_real_array(images) and images.dtype == np.uint8 and images.ndim == 4
+    if not fits or images.shape[3] != 3 or not images.size:
+        raise InputError(f"{name} is {shown(images)}; expected an array of uint8 (n, height, width, 3)")
 
 
 def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
@@ -69,22 +70,16 @@ class Optics(ABC):
         InputError for maps of another shape, smaller than ``min_side_px``, or not within 10 m, and for sizes
         that no image has.
         """
-        maps = np.asarray(depth_m)
-        is_float = maps.dtype in (np.float32, np.float64)
-        if maps.ndim != 3 or not is_float or min(maps.shape[1:]) < self.min_side_px:
+        fits = is_real_array(depth_m) and depth_m.dtype in (np.float32, np.float64)
+        if not fits or depth_m.ndim != 3 or min(depth_m.shape[1:]) < self.min_side_px:
             raise InputError(
-                f"depth maps are {maps.dtype} of the shape {maps.shape}; expected floats (n, height, width) "
-                f"with at least {self.min_side_px} pixels a side"
+                f"depth_m is {shown(depth_m)}; expected an array of floats (n, height, width) with at least "
+                f"{self.min_side_px} pixels a side"
             )
         # Kernels look values up by place in a table, so each of them must be a number.
-        if maps.size and not (maps.min() > -_FARTHEST_M and maps.max() < _FARTHEST_M):
+        if depth_m.size and not (depth_m.min() > -_FARTHEST_M and depth_m.max() < _FARTHEST_M):
             raise InputError(f"depth maps hold values that are not within {_FARTHEST_M:g} m")
-        if min(size_px) < 1 or size_px[0] * size_px[1] > touch.MAX_IMAGE_PIXELS:
-            raise InputError(
-                f"a picture of {size_px[0]} x {size_px[1]} pixels was asked for; expected 1 to "
-                f"{touch.MAX_IMAGE_PIXELS:,} pixels"
-            )
-        return self._shades(maps, sensor, size_px, is_surface=is_surface)
+        return self._shades(depth_m, sensor, checked_size_px(size_px), is_surface=is_surface)
 
     @abstractmethod
     def _shades(
@@ -144,7 +139,7 @@ def make_optics(
     MissingExtraError
         A package that the optics need is not installed.
     """
-    if name not in OPTICS:
+    if not isinstance(name, str) or name not in OPTICS:
         raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
     if name == "cyclegan":
         # Imported by name, because it needs the extra `torch`.
@@ -155,7 +150,7 @@ def make_optics(
         raise InputError(
             f"weights were given, but the optics are {name!r}", next="leave out weights, or use cyclegan"
         )
-    if device != "cpu" or bfloat16:
+    if not isinstance(device, str) or device != "cpu" or bfloat16 is not False:
         raise InputError(
             f"is {device!r} and bfloat16 {bfloat16}, but the optics are {name!r}, which compute on "
             "the CPU in single precision",

@@ -9,9 +9,10 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactile_sim.checked_arrays import finite_array, real_array, shown
 from tactile_sim.elastic.contact import ElasticContact, Gel, GelLoad, require_solved, solve_unjudged
-from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
-from tactile_sim.press.sensors import Sensor, full_view
+from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD, checked_markers
+from tactile_sim.press.sensors import Sensor, checked_size_px, full_view
 from tactile_sim.value_files import read_values
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
@@ -25,6 +26,7 @@ _SOLVED_M = 0.00024
 _SAME = 1 + 1e-9  # sides that differ only by rounding
 _SLIP_REACH_M = 0.003  # distance at which the slip of a contact has decayed; slides are at most a third
 _REFERENCE_PA, _REFERENCE_N = 1e6, 1.0
+_MAX_NUMBER = 1e6  # metres or newtons of a measured press
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
 _MARKER_RADIUS = 0.18  # of the distance of two markers: about that of the dots of a GelSight Mini
 _MARKER_SHADE = 0.15  # share of the light that a marker reflects
@@ -251,15 +253,13 @@ def fit_youngs_modulus(
     InputError
         Fewer than two depths, numbers that are not finite, or forces that do not grow with depth.
     """
-    try:
-        depths, forces = np.asarray(depth_m, np.float64), np.asarray(force_n, np.float64)
-    except (TypeError, ValueError):
-        depths = forces = np.empty(0)
-    fits = depths.ndim == 1 and depths.shape == forces.shape and len(np.unique(depths)) > 1
-    if not (fits and np.isfinite(depths).all() and np.isfinite(forces).all()):
+    expected = f"finite numbers, one for each press, at most {_MAX_NUMBER:g}"
+    depths = finite_array(depth_m, "depth_m", (None,), expected, most=_MAX_NUMBER)
+    forces = finite_array(force_n, "force_n", (None,), expected, most=_MAX_NUMBER)
+    if len(depths) != len(forces) or len(np.unique(depths)) < 2:
         raise InputError(
-            f"depth_m and force_n have shapes {np.shape(depth_m)} and {np.shape(force_n)}; expected as many "
-            "finite numbers each, of two depths or more"
+            f"depth_m has {len(np.unique(depths))} depths and {len(depths)} numbers, force_n {len(forces)}; "
+            "expected as many numbers each, of two depths or more"
         )
     slope = float(np.polyfit(depths, forces, 1)[0])
     if slope <= 0:
@@ -275,18 +275,15 @@ def fit_youngs_modulus(
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:
     """Broadcast finite numbers, of each touch or of all, to a shape; InputError for anything else."""
-    try:
-        array = np.asarray(value, np.float64)
-        numbers = np.broadcast_to(array, shape).copy()
-    except (TypeError, ValueError):
-        numbers = np.full(1, np.nan)
-    if not np.isfinite(numbers).all() or (len(shape) == 2 and array.ndim == 0):
+    array = real_array(value)
+    fits = array is not None and array.shape in (shape, shape[1:])
+    if array is None or not fits or not np.isfinite(array).all():
         what = "x and y" if len(shape) == 2 else "a number"
         raise InputError(
-            f"{name} is {value!r}; expected {what}, metres, newtons or radians, for all touches or for "
+            f"{name} is {shown(value)}; expected {what}, metres, newtons or radians, for all touches or for "
             f"each of {shape[0]}"
         )
-    return numbers
+    return np.broadcast_to(array, shape).copy()
 
 
 def _require(name: str, fits: Bool, numbers: Float64, expected: str) -> None:
@@ -310,9 +307,8 @@ def marker_grid_px(markers: tuple[int, int], size_px: tuple[int, int]) -> Float6
     ndarray of float64, shape (rows, columns, 2)
         Column and row in pixels, from 0 in the middle of the first pixel.
     """
-    across, down = (
-        (np.arange(count) + 0.5) * size / count - 0.5 for count, size in zip(markers, size_px, strict=True)
-    )
+    grid = zip(checked_markers(markers), checked_size_px(size_px), strict=True)
+    across, down = ((np.arange(count) + 0.5) * size / count - 0.5 for count, size in grid)
     return np.stack(np.meshgrid(across, down), axis=-1)
 
 
@@ -342,6 +338,12 @@ def marker_positions_px(
         flow.
     """
     at_rest_px = marker_grid_px(markers, size_px)
+    displacement_m = finite_array(
+        displacement_m, "displacement_m", (None, None, 3), "an array (H, W, 3), metres"
+    )
+    window_m = tuple(finite_array(window_m, "window_m", (2,), "width and height, metres").tolist())
+    if not min(window_m) > 0:
+        raise InputError(f"window_m is {window_m}; expected a width and a height above 0, metres")
     height, width = displacement_m.shape[:2]
     positions = (at_rest_px + 0.5) / size_px * [width, height] - 0.5
     moved_m = _between(displacement_m[..., :2], positions)

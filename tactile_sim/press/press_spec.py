@@ -78,6 +78,15 @@ def _markers_of(words: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
+def checked_markers(markers: object) -> tuple[int, int]:
+    """Return columns and rows of markers as Python's own integers; InputError for anything else."""
+    grid = checked_fields.to_builtin(markers)
+    is_pair = isinstance(grid, tuple) and len(grid) == 2 and checked_fields.is_integer(*grid)
+    if not is_pair or not 1 <= min(grid) <= max(grid) <= _MAX_MARKERS:
+        raise InputError(f"are {markers!r}; expected columns and rows, 1 to {_MAX_MARKERS}", field="markers")
+    return grid[0], grid[1]
+
+
 def _list_or_none(values: tuple[float, ...] | None) -> list[float] | None:
     if values is None:
         return None
@@ -190,22 +199,15 @@ class ElasticPress:
             self._set_span("force_n", force_n, MAX_FORCE_N, above=0.0)
         else:
             self._set_span("press_m", self.press_m, _MAX_PRESS_M, above=0.0)
-        self._set_span("slide_m", self.slide_m or 0.0, MAX_SLIDE_M)
-        self._set_span("twist_rad", self.twist_rad or 0.0, MAX_TWIST_RAD, least=-MAX_TWIST_RAD)
+        self._set_span("slide_m", 0.0 if self.slide_m is None else self.slide_m, MAX_SLIDE_M)
+        twist_rad = 0.0 if self.twist_rad is None else self.twist_rad
+        self._set_span("twist_rad", twist_rad, MAX_TWIST_RAD, least=-MAX_TWIST_RAD)
         if self.markers is None and self.draw_markers:
             raise InputError(
                 "are drawn, but there are none", next="give markers, such as --markers 7x9", field="markers"
             )
         if self.markers is not None:
-            grid = checked_fields.to_builtin(self.markers)
-            if not (isinstance(grid, tuple) and len(grid) == 2 and checked_fields.is_integer(*grid)) or not (
-                1 <= min(grid) <= max(grid) <= _MAX_MARKERS
-            ):
-                raise InputError(
-                    f"of the press are {self.markers!r}; expected columns and rows, 1 to {_MAX_MARKERS}",
-                    field="markers",
-                )
-            object.__setattr__(self, "markers", grid)
+            object.__setattr__(self, "markers", checked_markers(self.markers))
 
     def _set_span(
         self, name: str, value: object, most: float, *, least: float = 0.0, above: float = -math.inf

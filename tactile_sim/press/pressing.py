@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactile_sim.checked_arrays import finite_array, real_array, shown
 from tactile_sim.elastic.contact import ElasticContact, GelLoad
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
@@ -20,6 +21,8 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
 
+_MAX_CELL_M = 10.0
+_FARTHEST = 1e3  # metres or radians of a pose; pixels of kernels are 64-bit integers
 _RIGID = 1e-6  # greatest error of the entries of a rotation
 
 Solid: TypeAlias = "MeshLike | Pressable"
@@ -72,12 +75,14 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: floa
     Raises
     ------
     InputError
-        A number is not finite.
+        A number is not finite, or beyond 1000 metres or radians.
     """
-    for name, value in (("x_m", x_m), ("y_m", y_m), ("z_m", z_m), ("turn_rad", turn_rad)):
-        if not (isinstance(value, (int, float, np.floating, np.integer)) and math.isfinite(value)):
-            raise InputError(f"{name} of a pose is {value!r}; expected a finite number")
-    cosine, sine = cosine_sine(float(turn_rad))
+    values = {"x_m": x_m, "y_m": y_m, "z_m": z_m, "turn_rad": turn_rad}
+    x_m, y_m, z_m, turn_rad = (
+        float(finite_array(value, f"{name} of a pose", (), "a number", most=_FARTHEST))
+        for name, value in values.items()
+    )
+    cosine, sine = cosine_sine(turn_rad)
     rows = [[cosine, -sine, 0.0, x_m], [sine, cosine, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]]
     return np.array(rows, np.float64)
 
@@ -90,19 +95,15 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
     matrix = getattr(value, "matrix", value)
     if isinstance(value, HasAsMatrix):
         matrix = value.as_matrix()
-    try:
-        matrices = np.asarray(matrix, np.float64)
-    except (TypeError, ValueError):
-        matrices = np.empty(0)
-    if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (4, 4) or not len(matrices):
-        shape: object = type(value).__name__
-        if isinstance(matrix, (np.ndarray, list, tuple)):
-            shape = np.shape(matrix)
+    matrices = real_array(matrix)
+    if matrices is None or matrices.shape[-2:] != (4, 4) or matrices.ndim > 3 or not matrices.size:
         raise InputError(
-            f"{name} is {shape}; expected a pose: a matrix of shape (4, 4), or several, (n, 4, 4)"
+            f"{name} is {shown(matrix)}; expected a pose: a matrix of shape (4, 4), or several, (n, 4, 4)"
         )
-    if not np.isfinite(matrices).all():
-        raise InputError(f"{name} holds NaN or infinite numbers; expected a pose of finite numbers")
+    if not (np.abs(matrices) <= _FARTHEST).all():
+        raise InputError(
+            f"{name} holds NaN, or a number beyond {_FARTHEST:g}; expected a pose of finite numbers, metres"
+        )
     turn = matrices[..., :3, :3]
     square = (turn[..., :, None, :] * turn[..., None, :, :]).sum(axis=-1)
     rigid = np.abs(square - np.eye(3)).max() <= _RIGID and (np.linalg.det(turn) > 0).all()
@@ -205,10 +206,18 @@ def render_touch(
         A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it; a
         load is out of range, or its contact cannot be solved.
     """
-    sensor = sensor or full_view()
+    if sensor is None:
+        sensor = full_view()
     if isinstance(sensor, SensorModel):
         sensor = sensor.sensor
-    setup = _Setup.of(solid, object_pose, sensor_pose, cell_m)
+    if not isinstance(sensor, Sensor):
+        raise InputError(f"sensor is {shown(sensor)}; expected a Sensor or a SensorModel")
+    width_m, depth_m = finite_array(
+        cell_m, "cell_m", (2,), "width and depth, metres", most=_MAX_CELL_M
+    ).tolist()
+    setup = _Setup.of(solid, object_pose, sensor_pose, (width_m, depth_m))
+    if not isinstance(load, GelLoad | None):
+        raise InputError(f"load is {shown(load)}; expected a GelLoad, such as GelLoad(force_n=5.0)")
     if load is None:
         made = _press_rigid(setup, sensor)
     else:

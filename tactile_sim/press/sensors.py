@@ -73,11 +73,11 @@ class Sensor:
     """
 
     size_px: tuple[int, int]
-    window_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
-    gel_m: float = real(GEL_M, above=0, most=0.1)
-    press_m: float = real(touch.PRESS_DEPTH_M, above=0)
+    window_m: tuple[float, float] = real(_SURFACE_M, 1e-6, 1, many=2)
+    gel_m: float = real(GEL_M, 1e-6, 0.1)
+    press_m: float = real(touch.PRESS_DEPTH_M, 1e-9)
     sample_px: tuple[float, float] = real((0.0, 0.0), -0.5, 0.5, many=2)
-    surface_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
+    surface_m: tuple[float, float] = real(_SURFACE_M, 1e-6, 1, many=2)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", checked_size_px(self.size_px))
@@ -97,6 +97,10 @@ class Sensor:
         """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
         import numpy as np  # commands import this module for their options
 
+        from tactile_sim.checked_arrays import is_real_array, shown
+
+        if not is_real_array(depth_m):
+            raise InputError(f"depth_m is {shown(depth_m)}; expected an array of numbers, metres")
         image = np.minimum(depth_m, self.gel_m)
         # In place: a round of large pictures does not stay in the processor's cache.
         np.maximum(image, self.press_m, out=image)
@@ -255,6 +259,8 @@ class SensorModel:
     @classmethod
     def named(cls, word: str) -> SensorModel:
         """Return the sensor that an option names: a known one, a JSON file, or a calibrated one."""
+        if not isinstance(word, str):
+            raise InputError(f"a sensor is named by {type(word).__name__}; expected a text")
         known = SENSORS.get(word)
         if known is not None:
             return known

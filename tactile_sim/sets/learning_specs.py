@@ -81,7 +81,8 @@ class PairSetSpec:
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", checked_fields.to_builtin(self.size_px))
         check_fields(self, "the training set")
-        if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
+        is_pair = isinstance(self.size_px, tuple) and len(self.size_px) == 2
+        if not is_pair or not all(isinstance(side, int) and side in _SIDES_PX for side in self.size_px):
             raise InputError(
                 f"of the training set is {self.size_px}; expected multiples of 4 from 16 to 2048",
                 field="size_px",

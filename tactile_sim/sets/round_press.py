@@ -11,6 +11,7 @@ import pyarrow as pa
 from numpy.typing import ArrayLike
 from PIL import Image
 
+from tactile_sim.checked_arrays import finite_array
 from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_sim.optics.sensor_noise import add_noise
@@ -177,8 +178,10 @@ def preview_touch(
     """
     solid = Pressable.of(mesh, layer_m=spec.layer_m)
     stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
-    x_m, y_m = at_m or (0.0, 0.0)
-    if at_m is None:
+    x_m = y_m = 0.0
+    if at_m is not None:
+        x_m, y_m = finite_array(at_m, "at_m", (2,), "x and y, metres").tolist()
+    else:
         # A ring has no point in its middle.
         points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), keyed_rng("look"))
         away_m = points_m - _bounds_m(solid, stands).mean(axis=0)

@@ -146,7 +146,9 @@ class TouchPlan:
     def __post_init__(self) -> None:
         table = self.touch_table
         # Not by `isinstance`: importing TouchTable is heavy, and commands import this module.
-        if (self.positions == "given") != hasattr(table, "longest"):
+        is_given = isinstance(self.positions, str) and self.positions == "given"
+        is_table = hasattr(table, "longest")
+        if is_given != is_table or is_table != (table is not None):
             kind = type(table).__name__.replace("NoneType", "none")
             raise InputError(
                 f"the plan of touches has positions {self.positions!r}, and its given touches are {kind}; "

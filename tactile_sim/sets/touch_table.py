@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactile_sim.checked_arrays import real_array
 from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.columns import column_types, tables, units
@@ -165,12 +166,8 @@ class TouchTable:
 
 def _column(name: str, value: ArrayLike) -> AnyArray:
     """Return a column as float64 or int64; InputError, with the first bad row, where that is not possible."""
-    try:
-        array = np.asarray(value)
-        numbers = array.astype(np.float64)
-    except (TypeError, ValueError):
-        array = numbers = np.empty((0, 0))
-    if numbers.ndim != 1 or array.dtype.kind not in "iuf":
+    numbers = real_array(value)
+    if numbers is None or numbers.ndim != 1:
         raise InputError(
             f"column {name} of the given touches is {type(value).__name__}; expected a number for each touch"
         )
@@ -187,10 +184,11 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
     if not fits.all():
         row = int(np.argmin(fits))
         raise InputError(
-            f"column {name} of the given touches is {array[row]} in row {row}; expected {expected}"
+            f"column {name} of the given touches is {np.asarray(value)[row]} in row {row}; expected "
+            f"{expected}"
         )
     if name in _NUMBERS:
-        return array.astype(np.int64)
+        return numbers.astype(np.int64)
     return numbers
 
 

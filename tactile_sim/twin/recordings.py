@@ -7,14 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tactile_sim.checked_arrays import real_array, shown
 from tactile_sim.optics.rendering import require_images
 from tactile_sim.press.press_kernels import rasterise
 from tactile_sim.press.pressable import Pressable
+from tactile_toolkit import checked_fields
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
-from tactile_toolkit.wording import with_count
 
 _PITCH_M = 5e-5  # the pixel of a GelSight Mini has 59 micrometres
 _MAX_POINTS = 1 << 24
@@ -112,16 +113,20 @@ class Recordings:
     def __post_init__(self) -> None:
         _require_images(self.images, "images")
         count = len(self.images)
-        if self.backgrounds.size:
+        if not isinstance(self.backgrounds, np.ndarray) or self.backgrounds.size:
             _require_images(self.backgrounds, "backgrounds")
             if self.backgrounds.shape[1:] != self.images.shape[1:]:
                 raise InputError(
                     f"backgrounds have the shape {self.backgrounds.shape[1:]}, and images "
                     f"{self.images.shape[1:]}; expected images of one size"
                 )
+        if real_array(self.object_ids) is None or np.shape(self.object_ids) != (count,):
+            raise InputError(f"object_ids is {shown(self.object_ids)}; expected an integer for each touch")
         ids = np.asarray(self.object_ids)
-        if ids.shape != (count,) or ids.dtype.kind not in "iu":
-            raise InputError(f"object_ids have the shape {ids.shape}; expected an integer for each touch")
+        if ids.dtype.kind not in "iu":
+            raise InputError(f"object_ids are of {ids.dtype}; expected integers")
+        if not isinstance(self.solids, Mapping):
+            raise InputError(f"solids are {shown(self.solids)}; expected meshes by object id")
         unknown = sorted(set(ids.tolist()) - set(self.solids))
         if unknown:
             raise InputError(
@@ -138,9 +143,15 @@ class Recordings:
         object.__setattr__(self, "object_ids", ids.astype(np.int64))
         meshes = {int(key): Mesh.of(self.solids[key]) for key in sorted(set(ids.tolist()))}
         object.__setattr__(self, "solids", meshes)
-        names = self.names or tuple(map(str, range(count)))
-        if len(names) != count:
-            raise InputError(f"{with_count(len(names), 'names')} for {with_count(count, 'touches')}")
+        names = checked_fields.to_builtin(self.names)
+        if isinstance(names, tuple) and not names:
+            names = tuple(map(str, range(count)))
+        if (
+            not isinstance(names, tuple)
+            or len(names) != count
+            or not all(isinstance(name, str) for name in names)
+        ):
+            raise InputError(f"names are {shown(self.names)}; expected a text for each of {count} touches")
         object.__setattr__(self, "names", names)
 
     def __len__(self) -> int:
@@ -180,8 +191,8 @@ class Recordings:
 
 
 def _require_images(images: AnyArray, name: str) -> None:
-    shape = images.shape
     require_images(images, name)
+    shape = images.shape
     if min(shape[1:3]) < _MIN_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MAX_BYTES:
         raise InputError(
             f"{name} are {shape[0]} images of {shape[2]} x {shape[1]} pixels; expected at least "
@@ -191,9 +202,9 @@ def _require_images(images: AnyArray, name: str) -> None:
 
 
 def _checked_poses(values: AnyArray, count: int, name: str, allows_nan: tuple[int, ...]) -> Float64:
-    poses = np.asarray(values, np.float64)
-    if poses.shape != (count, 3):
-        raise InputError(f"{name} has the shape {poses.shape}; expected ({count}, 3)")
+    poses = real_array(values)
+    if poses is None or poses.shape != (count, 3):
+        raise InputError(f"{name} is {shown(values)}; expected numbers of the shape ({count}, 3)")
     checked = np.delete(poses, allows_nan, axis=1)
     if not np.isfinite(checked).all() or np.isinf(poses).any():
         raise InputError(f"{name} holds values that are not finite")

@@ -13,6 +13,7 @@ from os import PathLike, fspath
 import numpy as np
 from scipy import ndimage
 
+from tactile_sim.checked_arrays import shown
 from tactile_sim.kind import KIND
 from tactile_sim.optics.rendering import in_size_of
 from tactile_sim.press.sensors import SensorModel
@@ -111,6 +112,8 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
         The sensor has no twin, there are fewer than five images, or their proportions are not those of the
         sensor.
     """
+    if not isinstance(images, Iterable) or getattr(images, "ndim", 1) == 0:
+        raise InputError(f"images are {shown(images)}; expected images, uint8, (H, W, 3)")
     size_px = (model.width_px, model.height_px)
     scaled = [in_size_of(size_px, np.asarray(image)[None])[0] for image in images]
     if len(scaled) < MIN_IMAGES:

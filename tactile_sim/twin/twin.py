@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from tactile_sim.checked_arrays import finite_array
 from tactile_sim.optics.rendering import Optics
 from tactile_sim.press.sensors import Sensor
 from tactile_sim.twin import gel, surface_kernels
@@ -140,7 +141,8 @@ class TwinOptics(Optics):
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
         """Return pictures (n, H, W, 3) of solids from how far they reach into the gel, (n, H, W), metres."""
-        return self.render(sensor.gel_m - np.asarray(reach_m, np.float64), sensor, self._twin.size_px)
+        reach = finite_array(reach_m, "depth_m", (None, None, None), "an array (n, H, W), metres")
+        return self.render(sensor.gel_m - reach, sensor, self._twin.size_px)
 
 
 def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:

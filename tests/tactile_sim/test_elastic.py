@@ -391,7 +391,7 @@ def test_reciprocity_of_single_loads():
         ({"height_m": np.zeros(5)}, "height_m has shape (5,)"),
         ({"height_m": np.full((4, 4), np.nan)}, "height_m goes from nan to nan"),
         ({"height_m": np.eye(4) * 1e9}, "height_m goes from 0 to 1e+09"),
-        ({"height_m": np.eye(4) * 1j}, "not an array of real numbers"),
+        ({"height_m": np.eye(4) * 1j}, "is an array of complex128"),
         ({"force_n": None, "depth_m": 1e-15}, "depth_m is 1e-15"),
         ({"force_n": None, "depth_m": "1e-3"}, "depth_m is '1e-3'"),
         ({"force_n": 1e30}, "force_n is 1e+30"),

@@ -149,8 +149,8 @@ def _moved(row, column, value):
         ({"object_pose": _moved(0, 3, np.nan)}, "object_pose holds NaN"),
         ({"object_pose": _moved(0, 0, -1.0)}, "object_pose is not a rigid pose"),
         ({"target": _moved(0, 0, 1.5)}, "sensor_pose is not a rigid pose"),
-        ({"target": np.zeros(3)}, "sensor_pose is (3,)"),
-        ({"target": "up"}, "sensor_pose is str"),
+        ({"target": np.zeros(3)}, "sensor_pose is an array of float64 of the shape (3,)"),
+        ({"target": "up"}, "sensor_pose is 'up'"),
         ({"target": tactile_sim.pose(0.07)}, "sensor_pose 0 is at x 70.0 mm"),
         ({"target": tilted(2.0, 0.0)}, "115 degrees from the vertical"),
         (
