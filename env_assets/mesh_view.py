@@ -144,7 +144,8 @@ def mesh_bounds_m(vertices_m: Floating, set_name: str) -> Float64:
     """Return the lowest and highest corner of vertices, shape (2, 3), metres; InputError without vertices."""
     if not len(vertices_m):
         raise InputError(
-            f"{set_name} has no vertices", next="run `validate` on the data set and generate it again"
+            f"{set_name} has no vertices",
+            next="make the data set again; `tactile verify --content` names all such meshes",
         )
     # Column by column: numpy reduces short rows slowly.
     return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
@@ -159,7 +160,7 @@ def _volume_m3(record: MeshRecord) -> float:
         raise InputError(
             f"mesh {record.id} has triangles that name vertex {missing[0]}, but only {len(vertices_m):,} "
             "vertices",
-            next="run `validate` on the data set and generate it again",
+            next="make the data set again; `tactile verify --content` names all such meshes",
         )
     return Mesh(vertices_m, faces).volume_m3
 
@@ -263,7 +264,7 @@ def require_fitting_meshes(
             meshes.volumes_m3 > 0,
             "has a volume of {:.3g} m³, expected more than 0: its triangles face inwards, or it is open",
             meshes.volumes_m3,
-            "run `validate` on the data set and generate it again",
+            "make the data set again; `tactile verify --content` names all such meshes",
         ),
     )
     for fits, defect, values, step in checks:

@@ -63,7 +63,8 @@ def binarise(pixels: AnyArray, spec: SolidSpec, *, ink: Literal["auto", "dark", 
     Raises
     ------
     ItemError
-        As :func:`mnist3d.solidify`.
+        As :func:`mnist3d.solidify`; ``several-digits`` or ``not-a-digit`` for a photograph of more, or of
+        something else.
     """
     levels, otsu = ink_levels(pixels, spec.threshold, ink)
     require_large(levels, spec)

@@ -70,10 +70,12 @@ class TableSource(SmallImages):
 
     def _content(self) -> _Content:
         path = store.expanded(self.root)
+        if not store.path_exists(path):
+            raise InputError(f"{path} does not exist, expected {_TABLES}", next="check the path")
         files = [path]
         if path.is_dir():
             files = sorted(inner for inner in path.iterdir() if not store.is_hidden(inner.name))
-        stamps = tuple(file.stat().st_mtime_ns for file in files if file.exists())
+        stamps = tuple(file.stat().st_mtime_ns for file in files)
         return _read(path, tuple(files), stamps)
 
 
@@ -107,7 +109,10 @@ def _read(root: Path, files: tuple[Path, ...], _stamps: tuple[int, ...]) -> _Con
             arrays |= dict(_read_arrays(file))
             continue
         left_out.append((file.name, problem))
-    parts += _paired(arrays, root)
+    pairs = _pairs(arrays, root)
+    parts += [_part(arrays[name], arrays[label], f"{root}: {name}") for name, label in pairs.items()]
+    unused = sorted(arrays.keys() - pairs.keys() - set(pairs.values()))
+    left_out += [(name, "neither digits nor their labels") for name in unused]
     if not parts:
         content = "; ".join(f"{name}: {problem}" for name, problem in left_out[:8]) or "nothing"
         raise InputError(
@@ -156,6 +161,8 @@ def _read_csv(path: Path) -> AnyArray:
                 quotechar='"',
                 ndmin=2,
             )
+        if table.shape[1] != len(columns):
+            raise ValueError(f"rows of {with_count(table.shape[1], 'values')}")
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path} cannot be read as a table ({error}); expected numbers from 0 to 255",
@@ -187,8 +194,9 @@ def _read_arrays(path: Path) -> Iterator[tuple[str, AnyArray]]:
         ) from error
 
 
-def _paired(arrays: dict[str, AnyArray], root: Path) -> Iterator[Part]:
-    """Yield the images with their labels."""
+def _pairs(arrays: dict[str, AnyArray], root: Path) -> dict[str, str]:
+    """Return the name of the labels for the name of each array of digits."""
+    pairs: dict[str, str] = {}
     images = {name: array for name, array in arrays.items() if array.size and _is_images(array.shape)}
     labels = {
         name: array for name, array in arrays.items() if array.shape in ((array.size,), (array.size, 1))
@@ -205,7 +213,8 @@ def _paired(arrays: dict[str, AnyArray], root: Path) -> Iterator[Part]:
                 f"one of {len(array):,} digits (found {shapes})",
                 next="save images and labels together, by numpy.savez('digits.npz', images=..., labels=...)",
             )
-        yield _part(array, labels[matches[0]], f"{root}: {name}")
+        pairs[name] = matches[0]
+    return pairs
 
 
 def _is_images(shape: tuple[int, ...]) -> bool:

@@ -81,10 +81,16 @@ def test_other_files_are_left_out_with_the_reason(tmp_path: Path) -> None:
     csv(f"{HEADER}\n{lines()}\n")(tmp_path)
     csv(HEADER.replace("label,", "") + "\n", "test.csv")(tmp_path)
     (tmp_path / "readme.txt").write_text("digits")
+    npz(images=IMAGES, labels=LABELS, thumbnails=IMAGES[:, ::2, ::2])(tmp_path)
     assert TableSource(str(tmp_path)).fingerprint()["left_out"] == {
+        "digits.npz/thumbnails.npy": "neither digits nor their labels",
         "readme.txt": "not a table or array",
         "test.csv": "784 columns, but no row of a label and 784 pixels",
     }
+
+
+def test_a_missing_path_is_named() -> None:
+    assert "nowhere.csv does not exist" in refusal(TableSource("nowhere.csv"))
 
 
 def packed_by_another_method(folder: Path) -> None:
@@ -102,6 +108,7 @@ def packed_by_another_method(folder: Path) -> None:
         (csv(f"{HEADER}\n"), "785 columns, but no row"),
         (csv(f"{HEADER.replace('label', 'class')}\n{lines()}"), "no column is called 'label'"),
         (csv(f"{HEADER}\n{lines()},1"), "cannot be read as a table"),
+        (csv(f"{HEADER}\n1,2,3\n4,5,6"), "rows of 3 values"),
         (csv(f"{HEADER}\n{lines().replace('255', '256')}"), "'256'"),
         (csv(f"{HEADER}\n{lines(LABELS + 20)}"), "expected a digit from 0 to 9"),
         (csv(f"{HEADER}\n{lines()}", "emnist-digits-train.csv"), "rows and columns exchanged"),
