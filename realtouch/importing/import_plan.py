@@ -51,6 +51,7 @@ _SIZE_SAMPLES = 32
 _LONGEST_ID = 64  # characters at the end of a path; exports write ids of at most 80
 
 _TOUCHES_SHOWN = 3
+_PREVIEW_BYTES = 64 << 20  # of pictures that a preview reads
 _VALUES_SHOWN = 8
 _LONGEST_SHOWN = 60
 
@@ -463,7 +464,8 @@ class ImportPreview:
     cut : str
         How recordings become touches; empty if the source has no recordings.
     touches, rounds : int
-        Numbers of touches and rounds, without the touches that are known to be left out.
+        Numbers of touches and rounds, without the touches that would be left out. Pictures are read up to a
+        limit, which ``notes`` states.
     splits : mapping of str to int
         Touches of each split.
     classes : sequence of str
@@ -515,44 +517,55 @@ def preview_import(
     spec = spec or touch_options.ImportSpec()
     recordings = import_sources.find_source(fspath(source), spec)
     touches = arranged(recordings, spec)
-    usable = {
-        name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
-    }
     messages: dict[str, list[str]] = {}
-    parts = [part for of_split in touches.shards.values() for part in of_split]
-    for _, name, error in (problem for part in parts for problem in part.problems()):
-        messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
-    first = _first(touches, messages)
-    too_many = _too_many_left_out(touches, spec.max_left_out)
+    usable: dict[str, int] = {}
+    rounds = read = 0
+    read_bytes = _PREVIEW_BYTES
+    parts = list[source_touches.SourceTouches]()
+    for split, of_split in touches.shards.items():
+        usable[split] = 0
+        for part in of_split:
+            ends = np.cumsum(part.listing["size"].to_numpy())
+            count = int(np.searchsorted(ends, read_bytes, side="right"))
+            read_bytes -= int(ends[count - 1]) if count else 0
+            read += count
+            checked = part.with_problems(touches.make_shard.problems_of_pictures(part[:count]))
+            for _, name, error in checked.problems():
+                messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
+            usable[split] += int(checked.is_usable.sum())
+            rounds += len(checked.listing.filter(pa.array(checked.is_usable))["round"].unique())
+            parts.append(checked)
     notes = [*recordings.notes, *touches.notes]
+    too_many = _too_many_left_out(touches, spec.max_left_out)
     if too_many is not None:
         notes.append(f"the import would stop: {too_many}")
+    elif not rounds:
+        notes.append("the import would be refused, as every touch would be left out")
+    total = sum(map(len, parts))
+    if read < total:
+        notes.append(f"the pictures of {read:,} of {wording.with_count(total, 'touches')} were read")
     return ImportPreview(
         recordings.layout,
         recordings.recognised_by,
         recordings.cut,
         sum(usable.values()),
-        sum(len(part.listing["round"].unique()) for part in parts),
+        rounds,
         usable,
         touches.make_shard.names,
         _pictures_in_words(recordings, touches),
         _uses(recordings, import_shards.extras_in(touches.make_shard.schema)),
-        first,
+        _first(touches, parts),
         list(recordings.streams),
         [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
         notes,
     )
 
 
-def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
-    """Make the first touches as an import would, and note why others cannot be used."""
-    parts = [
-        part.take(np.flatnonzero(part.is_usable)) for of_split in touches.shards.values() for part in of_split
-    ]
-    some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
+def _first(touches: Arranged, parts: Sequence[source_touches.SourceTouches]) -> list[dict[str, str]]:
+    """Make the first touches as an import would."""
+    usable = (part.take(np.flatnonzero(part.is_usable)) for part in parts)
+    some = next((part for part in usable if len(part)), parts[0])[:_TOUCHES_SHOWN]
     content = touches.make_shard(store.ShardName("preview", 0, 1), some)
-    for skipped in content.skipped:
-        messages.setdefault(skipped.reason, []).append(skipped.message)
     shown = []
     (media,) = [field.name for field in content.table.schema if field.type == pa.list_(MEDIA_TYPE)]
     counts = pc.list_value_length(content.table[media]).to_pylist()

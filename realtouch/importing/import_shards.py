@@ -140,6 +140,19 @@ class ImportTouches:
         """Return why touches cannot be used, by index, as far as it is known without their pictures."""
         return self._read_fields(touches).problems
 
+    def problems_of_pictures(self, touches: source_touches.SourceTouches) -> Mapping[int, errors.ItemError]:
+        """Read the pictures of touches, and return why touches cannot be used, by index."""
+        problems: dict[int, errors.ItemError] = {}
+        frames = touches.listing["frames"].to_pylist()
+        contents = self._contents(touches)
+        for index in np.flatnonzero(touches.is_usable).tolist():
+            pictures = [_storable(picture, Counter()) for picture in islice(contents, max(1, frames[index]))]
+            try:
+                self._size(pictures, is_clip=frames[index] > 0)
+            except errors.ItemError as error:
+                problems[index] = error
+        return problems
+
     def _read_fields(self, touches: source_touches.SourceTouches) -> _TouchFields:
         """Read labels, objects, positions and poses of all usable touches."""
         owners = np.repeat(np.arange(len(touches)), touches.picture_counts)

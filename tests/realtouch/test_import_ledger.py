@@ -104,6 +104,26 @@ def test_pictures_that_no_table_names_are_listed(tmp_path: Path) -> None:
     )
 
 
+def test_a_preview_counts_what_would_survive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = {f"{name}/{number}.jpg": picture(number) for name in ("cup", "key") for number in range(4)}
+    home = write(tmp_path / "home", files)
+    write(home, {"cup/1.jpg": picture(1, (10, 10)), "key/2.jpg": b"no picture"})
+    shown = realtouch.preview_import(home)
+    assert (shown.touches, shown.rounds, shown.splits) == (6, 6, {"train": 6})
+    assert {(reason, count) for reason, count, _ in shown.left_out} == {("size", 1), ("image", 1)}
+    manifest = imported(home, tmp_path / "out")
+    assert manifest.skipped_reasons() == {reason: count for reason, count, _ in shown.left_out}
+    for path in files:
+        (home / path).write_bytes(b"no picture")
+    shown = realtouch.preview_import(home)
+    assert shown.touches == 0
+    assert shown.notes[-1] == "the import would be refused, as every touch would be left out"
+    with pytest.raises(InputError):
+        imported(home, tmp_path / "none")
+    monkeypatch.setattr(import_plan, "_PREVIEW_BYTES", 25)
+    assert "the pictures of 2 of 8 touches were read" in realtouch.preview_import(home).notes
+
+
 def test_a_stream_is_aligned_with_pictures_that_have_times(tmp_path: Path) -> None:
     home = write(tmp_path / "home", {f"{number}.jpg": picture(number) for number in range(4)})
     start = 1_764_230_400_123_456_789
