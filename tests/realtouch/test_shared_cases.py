@@ -101,3 +101,59 @@ def test_buffers_equal_those_of_zarr(kind: str, name: str, tmp_path: Path) -> No
     np.testing.assert_allclose(pixels, np.broadcast_to(images, pixels.shape), atol=1e-3)
     assert set(rounds.labels.tolist()) == ({-1} if name == "no_label" else {0})
     assert not rounds[0].row.has_poses
+
+
+RECORDINGS = SHARED / "cases" / "recordings"
+POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+# Source, options of the import, touches, and what the manifest states as not read.
+IMPORTED: dict[str, tuple[str, dict[str, Any], int, list[str]]] = {
+    "D20": ("D20/pics", {}, 9, []),
+    "D22": (
+        "D22/pics",
+        {
+            "columns": realtouch.ImportColumns(time="stamp_ns", round="take", pose=POSE),
+            "table": str(RECORDINGS / "D22/images.csv"),
+            "streams": (str(RECORDINGS / "D22/robot.csv"),),
+        },
+        10,
+        [],
+    ),
+    "D08 a": ("D08/a.hdf5", {"columns": realtouch.ImportColumns(image="observation/images/tactile")}, 12, []),
+    "D08 b": (
+        "D08/b.hdf5",
+        {"columns": realtouch.ImportColumns(image="observations/images/tactile")},
+        12,
+        ["compress_len (1, 12)"],
+    ),
+    "D12": ("D12/035_power_drill/dataset_0", {}, 6, ["synced_data.npy (a file of NumPy)"]),
+}
+NAMED = {
+    "D24/npz": r"'episode_000.npz' is a file of NumPy, with the arrays tactile_left uint8 \(8, 3, 120, 160\)",
+    "D11/mcapbag": "'run_0.mcap' is a ROS bag",
+    "D11/db3bag": "'run_0.db3' is a ROS bag",
+    "D11/ros1": "'run.bag' is a ROS bag",
+}
+
+
+@pytest.mark.parametrize("name", IMPORTED)
+def test_recordings_are_imported(name: str, tmp_path: Path) -> None:
+    path, options, count, left_out = IMPORTED[name]
+    if path.endswith(".hdf5"):
+        pytest.importorskip("h5py", reason="needs h5py")
+    manifest = realtouch.import_touches(RECORDINGS / path, tmp_path / "out", realtouch.ImportSpec(**options))
+    assert not manifest.skipped_reasons()
+    assert manifest.spec.get("left_out", []) == left_out
+    rounds = realtouch.load(tmp_path / "out", "train")
+    touches = rounds.touches()
+    assert len(touches) == count
+    if name == "D20":
+        assert rounds.label_names == ("cup", "fork", "key")
+    if name == "D22":
+        assert [touch.extra["force_n"] for touch in touches] == [4 * number for number in range(10)]
+        assert rounds[0].row.has_poses
+
+
+@pytest.mark.parametrize("path", NAMED)
+def test_recordings_that_are_not_read_are_named(path: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=NAMED[path]):
+        realtouch.import_touches(RECORDINGS / path, tmp_path / "out")
