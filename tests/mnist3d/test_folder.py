@@ -207,12 +207,17 @@ def test_aspect_is_kept_and_paper_fills_the_rest(tmp_path, size, upright):
 
 
 class TestUnreadable:
-    @pytest.mark.parametrize("content", [b"", b"not a picture"])
-    def test_no_picture(self, tmp_path: Path, content: bytes) -> None:
+    @pytest.mark.parametrize(
+        ("content", "words"),
+        [
+            (b"", "is an empty file; expected a picture"),
+            (b"not a picture", "cannot be read as a picture (its content is of no known type)"),
+        ],
+    )
+    def test_no_picture(self, tmp_path: Path, content: bytes, words: str) -> None:
         path = save(tmp_path / "7" / "a.png")
         path.write_bytes(content)
-        message = item_refusal(tmp_path, "unreadable")
-        assert message.startswith(f"{path}: cannot be read as a picture (its content is of no known type)")
+        assert item_refusal(tmp_path, "unreadable").startswith(f"{path}: {words}")
 
     @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "gif", "tif", "webp"])
     @pytest.mark.parametrize("share", [0.3, 0.6])

@@ -112,7 +112,7 @@ def test_custom_sizes():
         ),
         ({"seed": -1}, "seed of the division into splits is -1; expected an integer"),
         ({"seed": 1.5}, "seed of the division into splits is 1.5"),
-        ({"sizes": "train"}, "sizes of the division into splits is 'train'; expected each of train"),
+        ({"sizes": "train"}, "sizes of the division into splits is 'train'; expected SPLIT=N once per split"),
         ({"sizes": {"train": True}}, "is {'train': True}; expected each of train"),
         ({"sizes": [("train", 3), ("train", 4)]}, "once at most"),
     ],

@@ -77,7 +77,6 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     """Colours alone explain most of the images; moving the geometry explains more, whatever the start."""
     fit = begun(six_touches)
     fit.step()
-    fit.step()
     change = np.mean([np.abs(fit.image(each)[0] - fit.behind).mean() for each in range(6)])
     before = np.nanmedian(fit.rms)
     assert before < change
