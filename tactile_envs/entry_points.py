@@ -208,7 +208,8 @@ def _recorded(
     mesh.refuse_unit(options.unit, "recorded touches")
     if options.task is not None:
         raise errors.InputError(
-            f"`task` was given; {spec.assets} of recorded touches have the task of their id"
+            "`task` was given; environments of recorded touches have the task of their id",
+            next="leave it out, or choose an id of simulated touches",
         )
     sources = recorded_sets.RecordedSources.of(options.assets, options.touches)
     touches = recorded_sets.RecordedTouches.open(sources.touches, spec.split, config)
