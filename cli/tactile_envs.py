@@ -17,13 +17,13 @@ from tactile_toolkit.wording import with_count
 
 # Imported when they are called: the package registers the environments, and imports numpy.
 _environment_ids = lazy("tactile_envs:ids")
-_episode_generator = lazy("tactile_envs.recording:EpisodeGenerator.of")
-_episode_spec = lazy("tactile_envs.episodes:EpisodeSpec")
-_replay = lazy("tactile_envs.replays:replay")
-_evaluate = lazy("tactile_envs.evaluation:evaluate")
-_read_report = lazy("tactile_envs.evaluation:Report.read")
-_compare = lazy("tactile_envs.evaluation:compare")
-_draw_curves = lazy("tactile_envs.evaluation:draw_curves")
+_episode_generator = lazy("tactile_envs.episodes.recording:EpisodeGenerator.of")
+_episode_spec = lazy("tactile_envs.episodes.playing:EpisodeSpec")
+_replay = lazy("tactile_envs.episodes.replays:replay")
+_evaluate = lazy("tactile_envs.episodes.reports:evaluate")
+_read_report = lazy("tactile_envs.episodes.reports:Report.read")
+_compare = lazy("tactile_envs.episodes.reports:compare")
+_draw_curves = lazy("tactile_envs.episodes.reports:draw_curves")
 
 app = application.new_app("tactile-envs", "Environments of active tactile perception.")
 

@@ -10,9 +10,9 @@ from .entry_points import (
     TactileEnv as TactileEnv,
 )
 from .environment import TactileVectorEnv as TactileVectorEnv
-from .episodes import EpisodeSpec as EpisodeSpec
-from .evaluation import Report as Report, compare as compare, evaluate as evaluate
-from .recording import record as record
-from .replays import replay as replay
+from .episodes.playing import EpisodeSpec as EpisodeSpec
+from .episodes.reports import Report as Report, compare as compare, evaluate as evaluate
+from .episodes.recording import record as record
+from .episodes.replays import replay as replay
 
 __version__: str

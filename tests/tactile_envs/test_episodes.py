@@ -14,10 +14,11 @@ pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym
 
 import realtouch
-from tactile_envs import evaluation, policies, recording, replays, tasks
+from tactile_envs import tasks
 from tactile_envs.config import Action, Observation
 from tactile_envs.entry_points import make_vector
-from tactile_envs.episodes import EpisodeSpec
+from tactile_envs.episodes import policies, recording, replays, reports
+from tactile_envs.episodes.playing import EpisodeSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tests.command_line import call
 
@@ -144,18 +145,18 @@ def test_episodes_of_recorded_touches_may_end_early(tmp_path, assets):
         assert np.isnan(held.extra["reward"][-1])
         assert np.isfinite(held.extra["reward"][:-1]).all()
     assert replays.replay(tmp_path / "set", assets=assets).difference is None
-    report = evaluation.evaluate(spec, "oracle", seeds=2)
+    report = reports.evaluate(spec, "oracle", seeds=2)
     assert report.metrics["accuracy"].final.mean == 1.0
 
 
-def _report(policy: str, assets: Path, **options: Any) -> evaluation.Report:
-    return evaluation.evaluate(EpisodeSpec(ID, 48, 16, assets=assets), policy, **{"seeds": 2, **options})
+def _report(policy: str, assets: Path, **options: Any) -> reports.Report:
+    return reports.evaluate(EpisodeSpec(ID, 48, 16, assets=assets), policy, **{"seeds": 2, **options})
 
 
 def test_known_policies_give_known_figures(tmp_path, assets):
     accuracy = _report("oracle", assets).metrics["accuracy"]
-    assert accuracy == evaluation.Metric(
-        evaluation.Summary(1.0, 1.0, 1.0), evaluation.Summary(1.0, 1.0, 1.0), [1.0] * 16
+    assert accuracy == reports.Metric(
+        reports.Summary(1.0, 1.0, 1.0), reports.Summary(1.0, 1.0, 1.0), [1.0] * 16
     )
     # The constant policy names the first class, whose share is that of the recorded answers.
     share = []
@@ -167,7 +168,7 @@ def test_known_policies_give_known_figures(tmp_path, assets):
     assert constant.final.mean == constant.average.mean == pytest.approx(np.mean(share), abs=1e-12)
     random = _report("random", assets).metrics["accuracy"]
     assert random.average.low < 0.1 < random.average.high
-    volume = evaluation.evaluate(
+    volume = reports.evaluate(
         EpisodeSpec("TactileMNISTVolume-Depth-test-v0", 4, assets=assets), "oracle", seeds=1
     )
     assert volume.metrics["abs_error_cm3"].average.high < 1e-5
@@ -200,7 +201,7 @@ def test_the_interval_is_that_of_objects_drawn_again():
     rng = np.random.default_rng(5)
     objects = np.repeat(np.arange(400), 10)
     of_object = rng.normal(size=400)
-    summary = evaluation._summary(objects, of_object[objects])
+    summary = reports._summary(objects, of_object[objects])
     error = of_object.std() / np.sqrt(400)
     assert summary.mean == pytest.approx(of_object.mean())
     assert summary.high - summary.low == pytest.approx(2 * 1.96 * error, rel=0.1)
@@ -211,19 +212,19 @@ def test_reports_are_the_same_from_any_workers_and_are_compared_only_if_alike(tm
     assert (one.metrics, one.protocol, one.policy) == (two.metrics, two.protocol, two.policy)
     pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
     one.write(tmp_path / "one")
-    assert evaluation.Report.read(tmp_path / "one") == one
+    assert reports.Report.read(tmp_path / "one") == one
     assert "random in TactileMNIST-Depth-test-v0" in (tmp_path / "one" / "report.md").read_text()
     with pytest.raises(InputError, match="exists"):
         one.write(tmp_path / "one")
-    table = evaluation.compare({"a": one, "b": two})
+    table = reports.compare({"a": one, "b": two})
     assert [row[:2] for row in table] == [
         (name, kind) for name in one.metrics for kind in ("average", "final")
     ]
     other = _report("random", assets, seeds=1)
     with pytest.raises(InputError, match="seeds is 2 and 1"):
-        evaluation.compare({"a": one, "c": other})
+        reports.compare({"a": one, "c": other})
     with pytest.raises(InputError, match="no report"):
-        evaluation.Report.read(tmp_path)
+        reports.Report.read(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.kind import KIND as DIGITS
 from realtouch.kind import KIND as TOUCHES
 from starstruck_gen.kind import KIND as SCENES
-from tactile_envs.kind import KIND as EPISODES
+from tactile_envs.episodes.kind import KIND as EPISODES
 from tactile_sim.kind import KIND as SIMULATED
 from tactile_toolkit.kind import DatasetKind, kinds
 

@@ -11,8 +11,8 @@ import numpy as np
 import realtouch
 from tactile_envs.config import Action, Observation
 from tactile_envs.environment import TactileVectorEnv
-from tactile_envs.episodes import EpisodeSpec
-from tactile_envs.recording import EpisodeGenerator, EpisodeRound
+from tactile_envs.episodes.playing import EpisodeSpec
+from tactile_envs.episodes.recording import EpisodeGenerator, EpisodeRound
 from tactile_toolkit import places
 from tactile_toolkit.errors import InputError
 

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_envs import policies
-from tactile_envs.episodes import EpisodeSpec, episodes_of
-from tactile_envs.policies import Policy
+from tactile_envs.episodes import policies
+from tactile_envs.episodes.playing import EpisodeSpec, episodes_of
+from tactile_envs.episodes.policies import Policy
 from tactile_toolkit import cards, checked_fields, errors, run, wording
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError

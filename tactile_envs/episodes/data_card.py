@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tactile_envs.kind import KIND
-from tactile_envs.recording import EpisodeRound
+from tactile_envs.episodes.kind import KIND
+from tactile_envs.episodes.recording import EpisodeRound
 from tactile_sim.sets.data_cards import touches_sheet
 from tactile_toolkit import cards, store, wording
 from tactile_toolkit.json_types import JsonObject

@@ -13,8 +13,8 @@ from os import PathLike
 
 import numpy as np
 
-from tactile_envs import policies
 from tactile_envs.env_specs import NAMESPACE, env_specs
+from tactile_envs.episodes import policies
 from tactile_toolkit import checked_fields, errors
 from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
@@ -26,7 +26,7 @@ with errors.needs_extra("episodes", "gymnasium", "envs"):
 
     from tactile_envs.config import Action, Info, Observation
     from tactile_envs.environment import TactileVectorEnv
-    from tactile_envs.policies import Policy
+    from tactile_envs.episodes.policies import Policy
 
 _MAX_EPISODES = 10_000_000
 _MAX_ENVS = 4096

@@ -11,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from tactile_envs import policies
-from tactile_envs.episodes import Episodes, EpisodeSpec, Taken, Touch, episodes_of
-from tactile_envs.kind import KIND
-from tactile_envs.policies import Policy
+from tactile_envs.episodes import policies
+from tactile_envs.episodes.kind import KIND
+from tactile_envs.episodes.playing import Episodes, EpisodeSpec, Taken, Touch, episodes_of
+from tactile_envs.episodes.policies import Policy
 from tactile_toolkit import generation, read, rows, store, touch
 from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict, JsonObject

@@ -1,0 +1,1 @@
+"""Episodes of policies: played, recorded as touches, replayed, and reported."""
