@@ -45,6 +45,10 @@ ENDINGS = (*(ending for endings in touch.PICTURE_ENDINGS.values() for ending in 
 # Formats whose files can have pages. Further pictures of a JPEG (MPO) are other views, not pages.
 _PAGED = frozenset({"TIFF", "GIF", "WEBP", "PNG", "AVIF", "HEIF"})
 _MAX_PAGES = 1000
+# Formats in which a page is made from those before it.
+_BUILT_UP = frozenset({"GIF", "WEBP", "PNG", "AVIF"})
+# The last file that was opened at a later page, by path, time and size: its next page needs no earlier ones.
+_KEPT: dict[tuple[str, int, int], Image.Image] = {}
 
 # TIFF tag for the kind of a picture, and the bits of smaller copies and masks, which are not pages.
 _SUBFILE = 254
@@ -176,6 +180,13 @@ def pages_of(path: Path) -> tuple[int, ...]:
 
     Raises ItemError ``"unreadable"``.
     """
+    with _named_errors(path):
+        facts = path.stat()
+    return _pages_of(path, facts.st_mtime_ns, facts.st_size)
+
+
+@functools.lru_cache(16)
+def _pages_of(path: Path, _time_ns: int, _size: int) -> tuple[int, ...]:
     with _opened(path) as picture:
         count = getattr(picture, "n_frames", 1) if picture.format in _PAGED else 1
         if count > _MAX_PAGES:
@@ -207,24 +218,53 @@ def _formats() -> tuple[str, ...]:
     return (*known, "HEIF")
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
-    """Open a picture by its content; all errors become ItemError ``"unreadable"``."""
-    ending = path.suffix.lower()
+def _readable_formats(path: Path) -> tuple[str, ...]:
+    """Return the formats that a file may have."""
     # TGA has no signature, so nearly every file can pass for it.
-    formats = (*_formats(), "TGA") if ending in touch.PICTURE_ENDINGS["TGA"] else _formats()
+    return (*_formats(), "TGA") if path.suffix.lower() in touch.PICTURE_ENDINGS["TGA"] else _formats()
+
+
+@contextmanager
+def _opened(path: Path, page: int = 0) -> Iterator[Image.Image]:
+    """Open a picture, at a page, by its content; all errors become ItemError ``"unreadable"``."""
+    with _named_errors(path):
+        facts = path.stat()
+        key = (str(path), facts.st_mtime_ns, facts.st_size)
+        kept = _KEPT.pop(key, None) if page else None
+        if kept is not None and kept.tell() <= page:
+            kept.seek(page)
+            yield kept
+            _KEPT[key] = kept
+            return
+        with store.open_regular(path) as stream:
+            known = KnownFormat.of(stream.read(START_BYTES))
+            stream.seek(0)
+            if known is not None and known.key == "svg":
+                yield _drawn_svg(stream)
+                return
+            with Image.open(stream, formats=_readable_formats(path)) as picture:
+                if not page or picture.format not in _BUILT_UP:
+                    picture.seek(page)
+                    yield picture
+                    return
+            stream.seek(0)
+            cache.require_unpackable(facts.st_size, str(path))
+            content = io.BytesIO(stream.read())
+        picture = Image.open(content, formats=_readable_formats(path))
+        picture.seek(page)
+        yield picture
+        _KEPT.clear()
+        _KEPT[key] = picture
+
+
+@contextmanager
+def _named_errors(path: Path) -> Iterator[None]:
+    ending = path.suffix.lower()
     try:
         with warnings.catch_warnings():
             # Pillow warns of pictures up to twice its limit; those are reduced, the others are refused.
             warnings.simplefilter("ignore")
-            with store.open_regular(path) as stream:
-                known = KnownFormat.of(stream.read(START_BYTES))
-                stream.seek(0)
-                if known is not None and known.key == "svg":
-                    yield _drawn_svg(stream)
-                else:
-                    with Image.open(stream, formats=formats) as picture:
-                        yield picture
+            yield
     # Decoders raise many types for broken files: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
         next_step = "replace it by an intact copy, or leave it out"
@@ -235,7 +275,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         if (
             ending in touch.PICTURE_ENDINGS["HEIF"]
             and isinstance(error, UnidentifiedImageError)
-            and "HEIF" not in formats
+            and "HEIF" not in _formats()
         ):
             next_step = f"{install_line('heic')}, or store it as JPEG"
         message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
@@ -286,9 +326,7 @@ def decode_page(path: Path, page: int) -> Image.Image:
     A picture that would not fit into the memory that is allowed (:mod:`tactile_toolkit.cache`) is reduced to
     a longer side of 2,000 to 4,000 pixels while it is read. Raises ItemError ``"unreadable"``.
     """
-    with _opened(path) as picture:
-        if page:
-            picture.seek(page)
+    with _opened(path, page) as picture:
         _require_bounded(picture, path)
         return upright_levels(_reduced(picture))
 
@@ -305,9 +343,7 @@ def upright_levels(picture: Image.Image) -> Image.Image:
 
 def size_of_page(path: Path, page: int) -> tuple[int, int]:
     """Return width and height of a page as it is stored, pixels; raises ItemError ``"unreadable"``."""
-    with _opened(path) as picture:
-        if page:
-            picture.seek(page)
+    with _opened(path, page) as picture:
         return picture.size
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import GifImagePlugin, Image
 
 from mnist3d.digit_generation import DigitSetSpec, generate, source_again
 from mnist3d.digit_options import DigitPreviewSpec, SolidSpec
@@ -173,6 +173,27 @@ def test_smaller_copies_and_masks_in_a_tiff_are_no_pages(tmp_path: Path) -> None
     first.save(tmp_path / "1" / "a.tif", save_all=True, append_images=[copy, last])
     assert pages_of(tmp_path / "1" / "a.tif") == (0, 2)
     assert [ink_box(each) for each in images(tmp_path)] == [BOX, ink_box(bar()[::-1])]
+
+
+def test_pages_of_an_animation_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page of a GIF is made from those before it: a thousand of them took the time of half a million."""
+    pages = [np.roll(bar(), shift, axis=1) for shift in range(40)]
+    path = save_pages(tmp_path / "a.gif", *pages)
+    seek = GifImagePlugin.GifImageFile._seek
+    decoded = []
+
+    def counted(self: Any, frame: int, update_image: bool = True) -> None:
+        decoded.append(frame)
+        seek(self, frame, update_image)
+
+    monkeypatch.setattr(GifImagePlugin.GifImageFile, "_seek", counted)
+    for number, expected in enumerate(pages):
+        assert number in pages_of(path)
+        assert ink_box(read_picture(path, page=number)) == ink_box(expected)
+    assert len(decoded) < 4 * len(pages)
+    assert ink_box(read_picture(path, page=7)) == ink_box(pages[7]), "backwards, too"
+    save_pages(path, *pages[::-1], duration=20)
+    assert ink_box(read_picture(path, page=8)) == ink_box(pages[31]), "of the file that replaced it"
 
 
 def test_a_preview_shows_all_pages(tmp_path: Path) -> None:
