@@ -56,7 +56,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     assert "handwritten digits" not in card
     capsys.readouterr()
     assert call("mnist3d", "generate", *options[:4], "--split", "printed_train", "--out", out) == 2
-    assert "expected one of train, test, or all" in capsys.readouterr().err
+    assert "expected train, test or all" in capsys.readouterr().err
 
 
 def test_folders_of_digits_stay_digits(tmp_path: Path) -> None:
