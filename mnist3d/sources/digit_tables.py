@@ -73,10 +73,12 @@ class TableSource(SmallImages):
         if not store.path_exists(path):
             raise InputError(f"{path} does not exist, expected {_TABLES}", next="check the path")
         files = [path]
+        folders: list[str] = []
         if path.is_dir():
-            files = sorted(inner for inner in path.iterdir() if not store.is_hidden(inner.name))
+            files = store.list_files(path)
+            folders = sorted(inner.name for inner in path.iterdir() if inner.is_dir())
         stamps = tuple(file.stat().st_mtime_ns for file in files)
-        return _read(path, tuple(files), stamps)
+        return _read(path, tuple(files), tuple(folders), stamps)
 
 
 class _Content(NamedTuple):
@@ -86,10 +88,12 @@ class _Content(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _read(root: Path, files: tuple[Path, ...], _stamps: tuple[int, ...]) -> _Content:
+def _read(
+    root: Path, files: tuple[Path, ...], folders: tuple[str, ...], _stamps: tuple[int, ...]
+) -> _Content:
     parts: list[Part] = []
     arrays: dict[str, AnyArray] = {}
-    left_out: list[tuple[str, str]] = []
+    left_out = [(name, "a folder") for name in folders if not store.is_hidden(name)]
     for file in files:
         ending = file.suffix.lower()
         if "emnist" in file.name.lower():

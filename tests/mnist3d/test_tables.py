@@ -81,9 +81,11 @@ def test_other_files_are_left_out_with_the_reason(tmp_path: Path) -> None:
     csv(f"{HEADER}\n{lines()}\n")(tmp_path)
     csv(HEADER.replace("label,", "") + "\n", "test.csv")(tmp_path)
     (tmp_path / "readme.txt").write_text("digits")
+    (tmp_path / "more").mkdir()
     npz(images=IMAGES, labels=LABELS, thumbnails=IMAGES[:, ::2, ::2])(tmp_path)
     assert TableSource(str(tmp_path)).fingerprint()["left_out"] == {
         "digits.npz/thumbnails.npy": "neither digits nor their labels",
+        "more": "a folder",
         "readme.txt": "not a table or array",
         "test.csv": "784 columns, but no row of a label and 784 pixels",
     }
