@@ -36,9 +36,9 @@ def select(
     source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
         As for :func:`clips_to_images`; ``limit`` counts the rounds that are left.
     contact : bool
-        Only touches in which the gel stopped on an object, or, without poses, whose pictures show contact;
-        see :meth:`~realtouch.Touches.in_contact`. Rounds then differ in their number of touches, and
-        a column ``plate_z_m`` keeps the height of the plate, which followed from the removed touches.
+        Only touches with contact, see :meth:`~realtouch.Touches.in_contact`. Rounds then differ in their
+        number of touches. If heights decide, a column ``plate_z_m`` keeps the height of the plate, which
+        followed from the removed touches.
     min_height_m : float, optional
         Height above the plate from which a touch counts as contact, metres; see
         :meth:`~realtouch.Touches.in_contact`.
@@ -54,9 +54,13 @@ def select(
     InputError, SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
+    if min_height_m is not None:
+        min_height_m = checked_fields.checked_number(min_height_m, "min_height_m")
+        if not contact:
+            raise errors.InputError("has no effect without `contact`", field="min_height_m")
     touches: JsonDict = {
         "contact": contact,
-        "min_height_m": checked_fields.to_builtin(min_height_m, float),
+        "min_height_m": min_height_m,
         "recalibrate_z": recalibrate_z,
     }
     return conversion.write_conversion(source, out, partial(_selection, touches), **job)
@@ -64,16 +68,11 @@ def select(
 
 def _selection(touches: JsonObject, opened: loading.Source, rows: catalog.RowFilter) -> conversion.Conversion:
     options = {**touches}
-    min_height_m = options["min_height_m"]
-    if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
-        raise errors.InputError(
-            f"is {min_height_m}; expected metres, such as {touch.HeightRule.REAL_M}", field="min_height_m"
-        )
     if not options["contact"]:
         whole = KeepTouches(some_touches=False)
         return conversion.Conversion(opened, "select", options, whole, conversion.chosen_rows(opened, rows))
     contact_source = schema.ContactSource.of(read.column_types(opened.schema))
-    if contact_source.heights is not None and min_height_m is None:
+    if contact_source.heights is not None and options["min_height_m"] is None:
         options["min_height_m"] = contact_source.heights.min_height_m
     by_height = options["min_height_m"] is not None
     if not by_height:
