@@ -332,7 +332,7 @@ def find_anytouch(
             paths.append(f"{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}/{base}")
             labels.append(label.strip())
             rounds.append(picture_files.id_of_stem(folder.removeprefix(f"{split}-")))
-        problem = errors.ItemError("label", "the list leaves it out: its label is -1")
+        problem = errors.ItemError(source_touches.EXCLUDED, "the list leaves it out: its label is -1")
         left_out = [number for number, label in enumerate(labels) if label == _LEFT_OUT]
         fields = {
             "label": pa.array(labels, pa.string()),

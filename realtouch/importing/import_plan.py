@@ -223,10 +223,10 @@ def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSp
     shards = {}
     notes = []
     divisions = (
-        (partial(_runs, contents=contents), "each of one label and object"),
+        (partial(_runs, contents=contents), ", each of one label and one object"),
         (
             partial(_parts, sizes=sizes, most_bytes=most_bytes),
-            f"of at most {wording.bytes_text(most_bytes)} each",
+            f" of at most {wording.bytes_text(most_bytes)} each",
         ),
     )
     for name, rounds in whole.items():
@@ -235,7 +235,7 @@ def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSp
             if len(divided) > len(rounds):
                 piece = next(round_id for round_id in divided if round_id not in rounds)
                 count = wording.with_count(len(rounds), "rounds")
-                notes.append(f"{count} of {name} became {len(divided):,} {reason}, such as {piece!r}")
+                notes.append(f"{count} of {name} became {len(divided):,}{reason}, such as {piece!r}")
             rounds = divided
         parts = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
         shards[name] = [part.with_problems(make_shard.problems_of_fields(part)) for part in parts]
@@ -245,8 +245,8 @@ def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSp
 def _too_many_left_out(touches: Arranged, max_share: float) -> errors.InputError | None:
     """Return the error if more than a share of the touches would be left out for one reason; else None.
 
-    Only what is known before pictures are read counts, and a single touch is never too many. If nothing could
-    be imported, the run says so itself.
+    Only what is known before pictures are read counts, but nothing that the source itself leaves out, and a
+    single touch is never too many. If nothing could be imported, the run says so itself.
     """
     problems = [
         error for parts in touches.shards.values() for part in parts for _, _, error in part.problems()
@@ -254,7 +254,9 @@ def _too_many_left_out(touches: Arranged, max_share: float) -> errors.InputError
     total = sum(len(part) for parts in touches.shards.values() for part in parts)
     if len(problems) == total:
         return None
-    for reason, count in Counter(error.reason for error in problems).most_common(1):
+    counts = Counter(error.reason for error in problems)
+    del counts[source_touches.EXCLUDED]
+    for reason, count in counts.most_common(1):
         if count > max(max_share * total, 1):
             first = next(error for error in problems if error.reason == reason)
             return errors.InputError(

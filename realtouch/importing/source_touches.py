@@ -39,6 +39,8 @@ File = tuple[str, str]
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches without a table: each picture, the whole, or clips found by contact."""
+EXCLUDED = "excluded"
+"""Reason of a touch that the source itself leaves out."""
 TIME_S = "time_s"
 """Name of the field with the time of a picture of a recording, seconds."""
 _ROUND = "round_id"

@@ -100,6 +100,26 @@ def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: No
         assert sizes == {(96, 72)}
 
 
+def test_a_walk_over_several_materials_becomes_rounds_of_one_each(tmp_path: Path) -> None:
+    """As in Touch and Go, whose folders are walks; lines of the label -1 leave an image out."""
+    home = tmp_path / "corpus"
+    frames = home / "touch_and_go" / "walk" / "gelsight_frame"
+    frames.mkdir(parents=True)
+    labels = [3, 3, -1, 5, 5, -1, 5, 3]
+    for number in range(len(labels)):
+        Image.new("RGB", (32, 24), (30 * number, 90, 90)).save(frames / f"{number:010d}.jpg")
+    lines = [f"walk/{number:010d}.jpg,{label},background.jpg" for number, label in enumerate(labels)]
+    (home / "train_bg.txt").write_text("\n".join(lines))
+    manifest = realtouch.import_touches(home, tmp_path / "out")
+    rounds = realtouch.load(tmp_path / "out")
+    assert [(a_round.id, a_round.label, a_round.touch_count) for a_round in rounds] == [
+        ("walk-0", 3, 2),
+        ("walk-1", 5, 3),
+        ("walk-2", 3, 1),
+    ]
+    assert [item.reason for item in manifest.shards[0].skipped] == ["excluded"] * 2
+
+
 def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
     """Read all chunks of an array of Zarr version 2."""
     stated = json.loads(group.read(f"{path}/.zarray"))

@@ -187,7 +187,7 @@ def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> N
         ("a-3", 0, 1),
     ]
     notes = manifest.spec["notes"]
-    assert "1 round of train became 4 each of one label and object, such as 'a-0'" in notes
+    assert "1 round of train became 4, each of one label and one object, such as 'a-0'" in notes
 
 
 def test_unusable_tables_and_options(home: Path, tmp_path: Path) -> None:
