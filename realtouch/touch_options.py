@@ -233,8 +233,9 @@ class Alignment:
     time_offset_s : float
         Added to the times of all streams, seconds.
     duration_tolerance : float
-        Largest difference between the durations of a video, at the rate that its file states, and of a table
-        beside it, as a share of the first. A difference of at most ``max_gap_ms`` is never too large.
+        Largest difference between the durations of a video, at the rate that its file states, and of a
+        stream, as a share of the first. A difference of at most ``max_gap_ms`` is never too large, and with
+        ``time_offset_s`` only tables beside the video are compared.
     """
 
     method: str = checked_fields.choice(
@@ -264,7 +265,7 @@ class Alignment:
         0,
         metavar="X",
         panel="Streams",
-        help="Largest difference between the durations of a video and of a table beside it, as a share.",
+        help="Largest difference between the durations of a video and of a stream, as a share.",
     )
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.touch import CELL_M
 
 CONTACT = pictures.ACCENTS[0]
-"""Colour of the frame around touches in which the gel stopped on an object."""
+"""Colour of the frame around touches with contact."""
 
 _COLUMNS = 8
 _TILE_PX = 160
@@ -74,9 +74,10 @@ def plan_previews(
 
 
 def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
-    """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed.
+    """Draw touches of a round, evenly spaced, with their numbers.
 
-    Pressure and moving markers are beside the picture of a touch that has them.
+    Touches with contact are framed, if stored values state it. Pressure and moving markers are beside the
+    picture of a touch that has them.
     """
     row = record.row
     contact_source = row.contact_source

@@ -58,7 +58,7 @@ def check(
     """Find what is wrong with the recordings of a data set whose files are intact.
 
     Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift and markers of the gel,
-    empty pictures, duplicates, objects in two splits, poses and times that cannot be.
+    empty pictures, duplicates, objects in two splits, poses and times that cannot be, and two clocks.
 
     Parameters
     ----------

@@ -84,8 +84,8 @@ def frames(
     -------
     Manifest
         Each file is named in ``index.csv`` with its checksum, label, position and pose. Characters of an id
-        other than letters, digits, ``-`` and ``_`` are percent-encoded. Rounds with a duplicate id are left
-        out.
+        other than letters, digits, ``-`` and ``_`` are percent-encoded. A round whose id an earlier one of
+        its split has is left out.
 
     Raises
     ------

@@ -221,13 +221,12 @@ class Aligner:
             beside = self._streams_beside(recording)
             self.times |= {stream.time_column for stream in beside}
             self.tables |= {stream.address for stream in beside}
-            _require_same_durations(recording, beside, self._how)
             aligned, reports = with_streams(recording, beside, self._how, self._columns)
         except errors.ItemError as error:
             return replace(recording, problem=error)
         except errors.InputError as error:
             return replace(recording, problem=errors.ItemError("stream", f"{error.message}{_NO_STREAM}"))
-        aligned, of_named = with_streams(aligned, self._named, self._how, self._columns)
+        aligned, of_named = with_streams(aligned, self._named, self._how, self._columns, are_beside=False)
         self.reports += [*reports, *of_named]
         return aligned
 
@@ -306,6 +305,8 @@ def with_streams(
     streams: Sequence[Stream],
     how: Alignment,
     columns: touch_options.ImportColumns,
+    *,
+    are_beside: bool = True,
 ) -> tuple[source_touches.Recording, list[StreamReport]]:
     """Add the columns of streams to the fields of each picture.
 
@@ -322,11 +323,15 @@ def with_streams(
     columns : ImportColumns
         ``pose`` is not interpolated number by number: a quaternion lies on the rotation between two samples,
         and a pose with another kind of rotation is that of the nearest sample.
+    are_beside : bool
+        Whether the streams were recorded with this video alone: then they last as long. So do others unless
+        an offset of their clock is given.
 
     Raises
     ------
     InputError
-        The clocks have no common time, the rows are not as many as the pictures, or no picture gets a value.
+        The clocks have no common time or other durations, the rows are not as many as the pictures, or no
+        picture gets a value.
     """
     reports: list[StreamReport] = []
     # Those that have the times of the pictures come first.
@@ -341,6 +346,9 @@ def with_streams(
         else:
             sample_s = stream.time_s + how.time_offset_s
             columns_added, facts = _by_time(recording, stream, recording.time_s, sample_s, how, columns)
+            if recording.is_at_stated_rate and recording.frames > 1 and (are_beside or not how.time_offset_s):
+                ends = (float(np.ptp(recording.time_s)), float(np.ptp(sample_s)))
+                _require_same_duration(recording, stream, *ends, how)
         added = dict(recording.per_frame)
         for name, values in columns_added.items():
             while name in added or name in recording.values:
@@ -352,30 +360,23 @@ def with_streams(
     return recording, reports
 
 
-def _require_same_durations(
-    recording: source_touches.Recording, streams: Sequence[Stream], how: Alignment
+def _require_same_duration(
+    recording: source_touches.Recording, stream: Stream, video_s: float, stream_s: float, how: Alignment
 ) -> None:
     """Raise InputError if a stream lasts longer or shorter than its video at the rate that the file states.
 
     One of both clocks is wrong then, unless the stream was recorded for longer than the video.
     """
-    timed = [(stream, stream.time_s) for stream in streams if stream.time_s is not None]
-    has_true_times = any(stream.rows == recording.frames for stream, _ in timed)
-    if not recording.is_at_stated_rate or has_true_times or recording.time_s is None or recording.frames < 2:
+    if abs(stream_s - video_s) <= max(how.duration_tolerance * video_s, how.max_gap_ms * _PER_MS):
         return
-    video_s = float(recording.time_s[-1] - recording.time_s[0])
-    for stream, sample_s in timed:
-        stream_s = float(sample_s[-1] - sample_s[0])
-        if abs(stream_s - video_s) > max(how.duration_tolerance * video_s, how.max_gap_ms * _PER_MS):
-            rate = (recording.frames - 1) / video_s
-            raise errors.InputError(
-                f"{stream.address!r} lasts {stream_s:.2f} s, the {recording.frames:,} pictures of "
-                f"{recording.name!r} {video_s:.2f} s at the {rate:.4g} pictures a second that the file "
-                "states; expected equal durations",
-                next="if the camera had another rate, give a table with the time of each picture, a row "
-                "each; if the rate is right, add --duration-tolerance "
-                f"{abs(stream_s / video_s - 1) + 0.01:.2f}",
-            )
+    rate = (recording.frames - 1) / video_s
+    raise errors.InputError(
+        f"{stream.address!r} lasts {stream_s:.2f} s, the {recording.frames:,} pictures of "
+        f"{recording.name!r} {video_s:.2f} s at the {rate:.4g} pictures a second that the file states; "
+        "expected equal durations",
+        next="if the camera had another rate, give a table with the time of each picture, a row each; if the "
+        f"rate is right, add --duration-tolerance {abs(stream_s / video_s - 1) + 0.01:.2f}",
+    )
 
 
 def _by_row(recording: source_touches.Recording, stream: Stream) -> dict[str, pa.Array]:

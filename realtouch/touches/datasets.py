@@ -63,7 +63,7 @@ class TouchDataset(read.RecordDataset[R]):
 
     @property
     def touch_counts(self) -> Int64:
-        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
+        """T of each round, shape (len,), int64; reads one small column, or none if its type fixes T."""
         return self._stored_counts[self.row_numbers]
 
     @property

@@ -382,8 +382,8 @@ class StoredRound(read.Row):
     def poses(self, touch: int | None = None) -> Poses:
         """Return the pose of the gel in each touch of a ``single`` round, T poses, or that of ``touch``.
 
-        Raises IntegrityError, which names the touch, for a position or quaternion that is missing, not finite
-        or of length zero.
+        Raises IntegrityError, which names the touch, for a position or quaternion that is missing or not
+        finite, and for a quaternion whose length is not one.
         """
         positions = self.vectors(f"{_POSE}.position", 3, touch)
         quaternions = self.vectors(f"{_POSE}.quaternion", 4, touch)

@@ -31,7 +31,7 @@ class Summary:
     kind : str
         ``"seq"`` or ``"single"``.
     rounds, touches, objects : int
-        How many.
+        How many; 0 objects if they are unknown.
     touches_per_round : tuple of int
         Least and most.
     contact_share : float or None

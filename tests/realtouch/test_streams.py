@@ -300,6 +300,13 @@ def test_a_camera_that_delivers_another_rate_than_its_file_states(tmp_path: Path
     with pytest.raises(InputError, match=r"lasts 1\.99 s, the 36 pictures of 'take1' 1\.40 s at the 25 p"):
         realtouch.import_touches(home, tmp_path / "refused")
     assert not (tmp_path / "refused").exists()
+    (home / "take1.arm.csv").rename(tmp_path / "arm.csv")
+    named = realtouch.ImportSpec(streams=(str(tmp_path / "arm.csv"),))
+    with pytest.raises(InputError, match=r"arm\.csv' lasts 1\.99 s, .*--duration-tolerance 0\.43"):
+        realtouch.import_touches(home, tmp_path / "refused", named)
+    part = replace(named, alignment=Alignment(time_offset_s=-0.3))  # the video is a part of the stream
+    realtouch.import_touches(home, tmp_path / "part", part)
+    (tmp_path / "arm.csv").rename(home / "take1.arm.csv")
     # The second remedy is for cameras that deliver the rate of the file.
     tolerant = realtouch.ImportSpec(alignment=Alignment(duration_tolerance=0.43))
     realtouch.import_touches(home, tmp_path / "tolerant", tolerant)
