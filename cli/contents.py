@@ -396,8 +396,7 @@ def print_faults(
         )
     drawings: list[str] = []
     if drawn is not None and result.findings:
-        folder = store.open_folder(str(drawn.absolute()))
-        drawings = [str(drawn / picture.file) for picture in result.pictures().write(folder)]
+        drawings = [str(drawn / picture.file) for picture in result.pictures().write(drawn.absolute())]
     sink.line(
         f"{place.name}: {with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}; "
         f"all stored pictures were compared, {result.decoded:,} decoded"

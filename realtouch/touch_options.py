@@ -122,7 +122,7 @@ _NUMPY_MARK = b"\x93NUMPY"
 class TouchPreviewSpec:
     """Options of previews of touches; by default the grid is drawn."""
 
-    kinds: tuple[str, ...] = checked_fields.choice((), ("grid", "overlay", "all"))
+    kinds: tuple[str, ...] = ()
     split: str | None = None
     round_number: int = checked_fields.integer(0)
     touches: int = checked_fields.integer(32, 1)
