@@ -57,6 +57,8 @@ DEPTH = "observation.images.depth"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 _Episode = tuple[int | None, list[memoryview], dict[str, object]]
 """The touch of a clip (None for all touches of a round), the images of the frames, and columns."""
+_OF_POLICIES = {"extra.action": ACTION, "extra.reward": "next.reward"}
+"""Names that other libraries give to what a policy did after a touch, and earned; the last touch has none."""
 FEATURE = "observation."
 """Prefix of the names of further columns, as columns of frames."""
 # Columns and arrays of the formats themselves.
@@ -271,8 +273,9 @@ class Episodes:
     """Step of the export: a round becomes the frames of its episodes, numbered within each episode.
 
     ``split`` is the only split, ``size`` the size of all images (height, width), ``number`` the type of
-    poses. ``depth_of`` encodes the depth maps of a round, which must have that size; without it, they are
-    left out.
+    poses. With ``has_actions``, rounds are episodes of a policy: a frame is a touch and the action after it,
+    so the last touch is left out. ``depth_of`` encodes the depth maps of a round, which must have that size;
+    without it, they are left out.
     """
 
     split: str
@@ -282,6 +285,7 @@ class Episodes:
     names: tuple[str, ...]
     extras: tuple[ExtraColumn, ...]
     number: pa.DataType
+    has_actions: bool = False
     depth_of: Callable[[stored_round.StoredRound, tuple[int, int]], pa.Array] | None = None
 
     @classmethod
@@ -315,7 +319,8 @@ class Episodes:
         else:
             size = media.SensorImages(row).size()
         extras = extra_columns_of(source.shards[split])
-        return cls(split, are_clips, fps, size, source.class_names, extras, number)
+        has_actions = not are_clips and any(extra.name == ACTION for extra in extras)
+        return cls(split, are_clips, fps, size, source.class_names, extras, number, has_actions)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and those of the index of episodes."""
@@ -335,6 +340,8 @@ class Episodes:
         }
         if self.depth_of is not None:
             sources[DEPTH] = (MEDIA_TYPE, (media.DEPTH,))
+        if self.has_actions:
+            del sources[ACTION]
         extras = [pa.field(extra.name, extra.data_type) for extra in self.extras]
         return pa.schema([*conversion.schema_of(source, sources), *extras])
 
@@ -366,16 +373,18 @@ class Episodes:
         """Yield all touches of a round of single images as one episode; a round without touches has none."""
         row.entries_of("sensor_image")
         images = media.SensorImages(row)
-        columns = dict[str, object]()
-        if not len(images):
+        columns = dict[str, pa.Array]()
+        if len(images) <= self.has_actions:
             return
         if row.has_poses:
             columns[STATE] = self._states(row.poses())
-        if row.has("pos_in_cell"):
+        if row.has("pos_in_cell") and not self.has_actions:
             columns[ACTION] = self._vectors(row.intended_positions())
         if self.depth_of is not None and row.has(media.DEPTH):
             columns[DEPTH] = self.depth_of(row, self.size)
-        yield None, list(map(images.encoded, range(len(images)))), columns
+        count = len(images) - self.has_actions
+        columns = {name: values.slice(0, count) for name, values in columns.items()}
+        yield None, list(map(images.encoded, range(count))), columns
 
     def _clips(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
         """Yield each clip of a round as an episode."""
@@ -460,7 +469,7 @@ class EpisodeNumbers:
 def _episode_lengths(source: loading.Source, step: Episodes) -> Int64:
     """Return the number of episodes and of frames of each row, shape (n, 2)."""
     if not step.are_clips:
-        counts = datasets.dataset_of(source.shards[step.split]).touch_counts
+        counts = np.maximum(datasets.dataset_of(source.shards[step.split]).touch_counts - step.has_actions, 0)
         return np.column_stack([counts > 0, counts]).astype(np.int64)
     totals = []
     for shard in source.shards[step.split]:
@@ -490,6 +499,8 @@ class ExtraColumn:
             values = row.extra_of_frames(self.stored, values, touch, count)
         elif touch is not None:
             values = values.take(pa.array([touch] * count))
+        else:
+            values = values.slice(0, count)
         with row.naming(self.stored, touch):
             return self._packed(values)
 
@@ -534,7 +545,7 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
         depth, leaf = read.list_depth(entry)
         if has_gaps and not (pa.types.is_floating(leaf) or pa.types.is_string(leaf)):
             leaf = pa.float64()  # NaN stands for a missing value
-        feature = f"{FEATURE}{name.replace('/', '_')}"
+        feature = _OF_POLICIES.get(stored) or f"{FEATURE}{name.replace('/', '_')}"
         while feature in names:
             feature = f"{feature}_"
         names.add(feature)

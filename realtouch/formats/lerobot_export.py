@@ -355,7 +355,10 @@ class _WriteMeta:
         leaf = field.type
         if pa.types.is_fixed_size_list(leaf):
             width, leaf = leaf.list_size, leaf.value_type
-        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(field.name)}
+        names = _COMPONENTS.get(field.name)
+        if names is not None and len(names) != width:  # actions of a policy
+            names = None
+        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": names}
 
 
 def _json_bytes(values: Mapping[str, object]) -> bytes:

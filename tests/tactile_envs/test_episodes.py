@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import trimesh
 
@@ -262,6 +263,20 @@ def test_unknown_environments_are_refused(assets):
     for options in ({"assets": assets}, {}):
         with pytest.raises(InputError, match="names no environment of touch: 'gymnasium:CartPole-v1'"):
             recording.record(EpisodeSpec("gymnasium:CartPole-v1", 1, **options), "random", "never")
+
+
+def test_an_export_for_lerobot_has_the_actions_of_the_policy(tmp_path, assets):
+    _record(tmp_path / "set", assets)
+    realtouch.export(tmp_path / "set", tmp_path / "out", "lerobot")
+    frames = pq.read_table(tmp_path / "out" / "lerobot" / "data")
+    rounds = realtouch.load(tmp_path / "set")
+    expected = np.concatenate([held.extra["action"][:-1] for held in rounds])
+    np.testing.assert_array_equal(np.array(frames["action"].to_pylist(), np.float32), expected)
+    rewards = np.concatenate([held.extra["reward"][:-1] for held in rounds])
+    np.testing.assert_array_equal(frames["next.reward"].to_numpy(), rewards)
+    assert len(frames) == 7 * 16
+    stored = rounds[1].sensor_image.encoded(3)
+    assert frames["observation.images.tactile"][16 + 3].as_py()["bytes"] == bytes(stored)
 
 
 class HalfHeight(tasks.Regression):
