@@ -76,16 +76,14 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
             raise InputError(
                 f"needs a data set, and {name!r} is a single file", next="leave it out", field=option
             )
-    stem = pictures.PlannedPicture.stem_of(name)
+    stem = pictures.PictureTask.stem_of(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
         drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]
     else:
         mesh.refuse_unit(spec.unit, name)
         drawings = _plan_pages(path, stem)
-    return pictures.PicturePlan(
-        tuple(pictures.PlannedPicture(file, path.name, draw) for file, draw in drawings)
-    )
+    return pictures.PicturePlan(tuple(pictures.PictureTask(file, path.name, draw) for file, draw in drawings))
 
 
 def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
@@ -106,7 +104,7 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
 
 def _plan_steps(
     chosen: pictures.ChosenRows, spec: digit_options.DigitPreviewSpec
-) -> list[pictures.PlannedPicture]:
+) -> list[pictures.PictureTask]:
     """Plan the steps of the digits with given ids, or of the first digit."""
     made_by = chosen.place.made_by
     set_name = chosen.place.name
@@ -129,7 +127,7 @@ def _plan_steps(
             file = f"{chosen.stem}-{split}-{digit.id}-steps.png"
             title = f"{digit.caption(digits.label_names)}, id {digit.id} ({chosen.stem}, {split})"
             drawing = partial(draw, digit.id, title.capitalize())
-            drawings.append(pictures.PlannedPicture(file, f"digit {digit.id}, step by step", drawing))
+            drawings.append(pictures.PictureTask(file, f"digit {digit.id}, step by step", drawing))
     return drawings if spec.ids else drawings[:1]
 
 

@@ -54,20 +54,20 @@ def plan_previews(
             f"is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}", field="round_number"
         )
     record = dataset[number]
-    stem = "-".join(filter(None, (pictures.PlannedPicture.stem_of(data_set.name), split)))
+    stem = "-".join(filter(None, (pictures.PictureTask.stem_of(data_set.name), split)))
 
-    def planned(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PlannedPicture]:
-        return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
+    def tasks_of(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PictureTask]:
+        return [pictures.PictureTask(f"{stem}-round-{number}-{kind}.png", what, draw)]
 
-    def on_map() -> list[pictures.PlannedPicture]:
+    def on_map() -> list[pictures.PictureTask]:
         if not (record.row.has_poses or record.row.has("pos_in_cell")):
             raise record.row.missing_column("pos_in_cell")
-        return planned(
+        return tasks_of(
             "overlay", f"all touches of {record!r} at their positions", lambda: draw_overlay(record)
         )
 
     plans = {
-        "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
+        "grid": lambda: tasks_of("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
         "overlay": on_map,
     }
     return pictures.PicturePlan.of_kinds(spec.kinds, plans)

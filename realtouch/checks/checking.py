@@ -196,7 +196,7 @@ class CheckResult:
         """Plan a picture of each finding: its first touches."""
         by_split = {split: datasets.dataset_of(files) for split, files in self._files.items()}
         drawings = [
-            pictures.PlannedPicture(
+            pictures.PictureTask(
                 f"{finding.rule}.png",
                 f"{finding.rule}: {finding.found}",
                 partial(_draw, finding, self._faults[finding.rule], by_split),

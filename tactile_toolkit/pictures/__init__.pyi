@@ -12,7 +12,7 @@ from .sheets import (
 from .previews import (
     ChosenRows as ChosenRows,
     PicturePlan as PicturePlan,
-    PlannedPicture as PlannedPicture,
+    PictureTask as PictureTask,
 )
 from .solid_views import (
     DrawnBody as DrawnBody,

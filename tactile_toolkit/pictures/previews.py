@@ -22,7 +22,7 @@ _TILE_PX = 140  # of the largest object of a sheet
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedPicture:
+class PictureTask:
     """A picture that is not drawn yet: its file name (``.png``) and a short description."""
 
     name: str
@@ -47,12 +47,12 @@ class PlannedPicture:
 class PicturePlan:
     """The pictures to draw, in order, and why some kinds are left out."""
 
-    pictures: tuple[PlannedPicture, ...]
+    pictures: tuple[PictureTask, ...]
     left_out: tuple[str, ...] = ()
 
     @classmethod
     def of_kinds(
-        cls, asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
+        cls, asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PictureTask]]]
     ) -> PicturePlan:
         """Plan the pictures of each requested kind, or of the first one.
 
@@ -65,7 +65,7 @@ class PicturePlan:
             raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
         named = bool(asked) and "all" not in asked
         chosen = plans if "all" in asked else asked or next(iter(plans))
-        pictures: list[PlannedPicture] = []
+        pictures: list[PictureTask] = []
         reasons: list[InputError] = []
         for kind in filter(chosen.__contains__, plans):
             try:
@@ -142,7 +142,7 @@ class ChosenRows:
     @property
     def stem(self) -> str:
         """Beginning of the names of pictures."""
-        return PlannedPicture.stem_of(self.place.name)
+        return PictureTask.stem_of(self.place.name)
 
     def titled(self, title: str) -> str:
         """Return a title, with a note about unfinished data."""
@@ -150,7 +150,7 @@ class ChosenRows:
             return title
         return f"{title} (unfinished, {self.place.unfinished})"
 
-    def plan_sheets(self, per_row: int) -> list[PlannedPicture]:
+    def plan_sheets(self, per_row: int) -> list[PictureTask]:
         """Plan a sheet of solids for each split, its rows sorted by class."""
         sheets = []
         for split, dataset in self.splits.items():
@@ -160,7 +160,7 @@ class ChosenRows:
                     _draw_rows, rows, per_row, self.titled(f"{self.stem}: {split}"), self.kind.nouns
                 )
                 what = f"{with_count(len(rows), self.kind.nouns)} of {split} from above"
-                sheets.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, draw))
+                sheets.append(PictureTask(f"{self.stem}-{split}-sheet.png", what, draw))
         return sheets
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import Pen, PicturePlan, PlannedPicture, Tile, png_bytes, sheet
+from tactile_toolkit.pictures import Pen, PicturePlan, PictureTask, Tile, png_bytes, sheet
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 
 
@@ -82,16 +82,16 @@ def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path
         message = "no"
         raise InputError(message)
 
-    good = PlannedPicture("good.png", "good", lambda: np.zeros((2, 3), np.uint8))
+    good = PictureTask("good.png", "good", lambda: np.zeros((2, 3), np.uint8))
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
-        PicturePlan((good, PlannedPicture("bad.png", "", fails))).write(
+        PicturePlan((good, PictureTask("bad.png", "", fails))).write(
             tmp_path, on_progress=lambda *n: told.append(n)
         )
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
     with pytest.raises(InputError, match=r"good.png' exists"):
-        PicturePlan((PlannedPicture("bad.png", "", fails), good)).write(tmp_path)
+        PicturePlan((PictureTask("bad.png", "", fails), good)).write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     (written,) = PicturePlan((good,)).write(tmp_path, overwrite=True)
     assert (written.width, written.height) == (3, 2)
@@ -99,7 +99,7 @@ def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path
 
 
 def test_kinds_are_planned_once():
-    drawn = {name: PlannedPicture(f"{name}.png", "", lambda: np.zeros((1, 1), np.uint8)) for name in "abc"}
+    drawn = {name: PictureTask(f"{name}.png", "", lambda: np.zeros((1, 1), np.uint8)) for name in "abc"}
     plans = {name: lambda name=name: [drawn[name]] for name in drawn}
 
     def planned(*asked: str) -> list[str]:
