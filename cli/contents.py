@@ -14,7 +14,6 @@ from tactile_toolkit import catalog, checked_fields, places, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import SELECT, Checked, DatasetKind, lazy
-from tactile_toolkit.places import unknown_split
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Imported when they are called: they import pyarrow.
@@ -232,7 +231,7 @@ def verify(
     place = name_options.open(sink, name)
     # Before files are checked, which takes long. A single file is opened as any split.
     if not (place.is_file or split in (None, "all", *place.splits)):
-        raise unknown_split(str(split), place.splits, place.name)
+        raise places.unknown_split(str(split), place.splits, place.name)
     chosen = place.choose_kind(kind)
     is_for_others = place.manifest is not None and place.manifest.is_for_others
     if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others):

@@ -42,7 +42,8 @@ def finite_array(
     if array is None or array.ndim != len(shape) or not _has_sides(array.shape, shape):
         raise InputError(f"{name} is {shown(value)}; expected {expected}")
     if not (np.abs(array) <= most).all() or not np.isfinite(array).all():
-        raise InputError(f"{name} holds numbers that are not finite or beyond {most:g}; expected {expected}")
+        beyond = f" or beyond {most:g}" if math.isfinite(most) else ""
+        raise InputError(f"{name} holds numbers that are not finite{beyond}; expected {expected}")
     return array
 
 

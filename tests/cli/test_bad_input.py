@@ -168,7 +168,7 @@ CASES = [
     ("tactile-sim render MESHES/open.stl --optics depth --out out.png", "the surface is open"),
     ("tactile-sim render MESHES/inside-out.stl --optics depth --out out.png", "inside-out"),
     ("tactile-sim render MESHES/flat.stl --optics depth --out out.png", "bounds no solid"),
-    ("RENDER --at-mm nan,0", "x_m of a pose is nan"),
+    ("RENDER --at-mm nan,0", "at_m holds numbers that are not finite; expected x and y, metres"),
     ("RENDER --at-mm 70,0", "above the cell of 120 x 120 mm"),
     ("RENDER --at-mm 1", "expected x,y in millimetres"),
     ("RENDER --turn-deg inf", "--turn-deg is inf"),
