@@ -35,7 +35,7 @@ from .touches.media import (
     TouchClip as TouchClip,
 )
 from .formats.exports import export as export
-from .importing.import_plan import ImportPreview as ImportPreview, preview_import as preview_import
+from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_plan import import_touches as import_touches
 from .touches.loading import SHORT_NAMES as SHORT_NAMES, load as load
 from .touches.poses import Poses as Poses, PoseSequences as PoseSequences

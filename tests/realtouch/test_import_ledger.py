@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.importing import import_plan
+from realtouch.importing import import_plan, import_preview
 from tactile_toolkit.errors import InputError
 from tests.realtouch.images_of_others import line, picture, write_table
 
@@ -120,7 +120,7 @@ def test_a_preview_counts_what_would_survive(tmp_path: Path, monkeypatch: pytest
     assert shown.notes[-1] == "the import would be refused, as every touch would be left out"
     with pytest.raises(InputError):
         imported(home, tmp_path / "none")
-    monkeypatch.setattr(import_plan, "_PREVIEW_BYTES", 25)
+    monkeypatch.setattr(import_preview, "_PREVIEW_BYTES", 25)
     assert "the pictures of 2 of 8 touches were read" in realtouch.preview_import(home).notes
 
 
