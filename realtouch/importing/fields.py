@@ -7,8 +7,10 @@ a column, or one for each picture of its clip. Missing values stay missing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -293,99 +295,86 @@ def _numbers(
     return numbers / columns.divisors(names, numbers.shape[1])
 
 
-def used_names(columns: touch_options.ImportColumns) -> set[str | None]:
+@dataclass(frozen=True)
+class ExtraColumns:
+    """The columns of a source that are kept as extra ones.
+
+    ``columns`` says what columns mean, and renames some. ``types`` holds the type of the value of a touch by
+    the name of the column in a data set.
+    """
+
+    columns: touch_options.ImportColumns
+    types: Mapping[str, pa.DataType]
+
+    @classmethod
+    def of(cls, touches: source_touches.SourceTouches, columns: touch_options.ImportColumns) -> ExtraColumns:
+        """Choose the extra columns of touches.
+
+        A column of objects, bytes or lists of several lengths is not kept, nor one without any value. Raises
+        InputError if two columns would have one name.
+        """
+        types: dict[str, pa.DataType] = {}
+        renamed = {source: name for name, source in columns.extra if source}
+        no_extra = _used(columns) | (BOOKKEEPING - renamed.keys())
+        no_extra |= {name for name, source in columns.extra if not source}
+        if not touches.has_clips:
+            no_extra.discard(source_touches.TIME_S)
+        known = touches.known
+        sources: dict[str, str] = {}
+        for source in [name for name in touches.names if name not in no_extra]:
+            name = renamed.get(source, source)
+            if name in sources:
+                raise errors.InputError(
+                    f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
+                    next=f"name one of them: --map NEW={sources[name]}",
+                )
+            if not touch_options.is_extra_name(name) or len(sources) == _MAX_COLUMNS:
+                continue
+            sources[name] = source
+            is_frame = source in touches.per_frame.column_names
+            kind = touches.of_frames(source).type.value_type if is_frame else touches.per_touch[source].type
+            leaf = kind.value_type if pa.types.is_list(kind) else kind
+            if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in known:
+                continue
+            if pa.types.is_temporal(leaf):
+                leaf = pa.string()
+            entry = pa.list_(leaf) if pa.types.is_list(kind) else leaf
+            if is_frame:
+                types[f"{EXTRA_PREFIX['frame']}{name}"] = pa.list_(entry)
+            else:
+                types[f"{EXTRA_PREFIX['touch']}{name}"] = entry
+        return cls(columns, types)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Name in the data set of each column that is kept, by its name in the source."""
+        sources = dict(self.columns.extra)
+        return {sources.get(name, name): name for name in extra_columns(self.types)}
+
+    def arrays(self, touches: source_touches.SourceTouches) -> dict[str, pa.Array]:
+        """Return the values of each extra column, an entry for each touch."""
+        made = {}
+        for (column, kind), source in zip(self.types.items(), self.names, strict=True):
+            is_frame = column.startswith(EXTRA_PREFIX["frame"])
+            values = touches.of_frames(source) if is_frame else touches.value(source)
+            assert values is not None
+            made[column] = values.cast(kind)
+        return made
+
+    def not_kept(self, touches: source_touches.SourceTouches) -> dict[str, int]:
+        """Return the number of touches with each field that is neither used nor kept."""
+        kept = _used(self.columns) | self.names.keys()
+        counts = Counter[str]()
+        for name in [name for name in touches.names if name not in kept]:
+            tables = [table for table in (touches.per_touch, touches.per_frame) if name in table.column_names]
+            counts[wording.printable(name)] += max(len(table) - table[name].null_count for table in tables)
+        return {name: count for name, count in counts.items() if count}
+
+
+def _used(columns: touch_options.ImportColumns) -> set[str | None]:
     """Return the columns of a source that hold labels, poses and so on, not extra values."""
     named = {source for _, source in columns.extra}
     used: set[str | None] = {*columns.names(), columns.image} - named
     if columns.label == f"{source_files.NUMBERED}_name":
         used.add(source_files.NUMBERED)
     return used
-
-
-def extra_sources(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
-) -> dict[str, str]:
-    """Return the extra columns of touches: the name in the source by the new name.
-
-    Raises InputError if two columns would have one name.
-    """
-    renamed = {source: name for name, source in columns.extra if source}
-    left_out = {name for name, source in columns.extra if not source}
-    no_extra = used_names(columns) | (BOOKKEEPING - renamed.keys()) | left_out
-    if not touches.has_clips:
-        no_extra.discard(source_touches.TIME_S)
-    sources: dict[str, str] = {}
-    for source in touches.names:
-        if source in no_extra:
-            continue
-        name = renamed.get(source, source)
-        if name in sources:
-            raise errors.InputError(
-                f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
-                next=f"name one of them: --map NEW={sources[name]}",
-            )
-        if touch_options.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
-            sources[name] = source
-    return sources
-
-
-def extra_types(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
-) -> dict[str, pa.DataType]:
-    """Return the type of the value of a touch in each extra column, by the name of the column in a data set.
-
-    A column of objects, bytes or lists of several lengths is not kept, nor one without any value.
-    """
-    types: dict[str, pa.DataType] = {}
-    known = touches.known
-    of_frames = {name: touches.of_frames(name).type.value_type for name in touches.per_frame.column_names}
-    for name, source in extra_sources(touches, columns).items():
-        is_frame = source in of_frames
-        kind = of_frames[source] if is_frame else touches.per_touch[source].type
-        leaf = kind.value_type if pa.types.is_list(kind) else kind
-        if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in known:
-            continue
-        if pa.types.is_temporal(leaf):
-            leaf = pa.string()
-        entry = pa.list_(leaf) if pa.types.is_list(kind) else leaf
-        if is_frame:
-            types[f"{EXTRA_PREFIX['frame']}{name}"] = pa.list_(entry)
-        else:
-            types[f"{EXTRA_PREFIX['touch']}{name}"] = entry
-    return types
-
-
-def extra_arrays(
-    touches: source_touches.SourceTouches,
-    columns: touch_options.ImportColumns,
-    types: Mapping[str, pa.DataType],
-) -> dict[str, pa.Array]:
-    """Return the values of each extra column, an entry for each touch."""
-    made = {}
-    for (column, kind), source in zip(types.items(), kept_sources(columns, types), strict=True):
-        is_frame = column.startswith(EXTRA_PREFIX["frame"])
-        values = touches.of_frames(source) if is_frame else touches.value(source)
-        assert values is not None
-        made[column] = values.cast(kind)
-    return made
-
-
-def kept_sources(columns: touch_options.ImportColumns, types: Iterable[str]) -> dict[str, str]:
-    """Return the fields that some extra columns of a data set keep, with their names there."""
-    sources = dict(columns.extra)
-    return {sources.get(name, name): name for name in extra_columns(types)}
-
-
-def not_kept(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, types: Iterable[str]
-) -> dict[str, int]:
-    """Return the number of touches with each field that is neither used nor kept, by its printable name."""
-    kept = used_names(columns) | kept_sources(columns, types).keys()
-    counts: dict[str, int] = {}
-    for name in touches.names:
-        if name not in kept:
-            tables = [table for table in (touches.per_touch, touches.per_frame) if name in table.column_names]
-            count = max(len(table) - table[name].null_count for table in tables)
-            shown = wording.printable(name)
-            counts[shown] = counts.get(shown, 0) + count
-    return {name: count for name, count in counts.items() if count}

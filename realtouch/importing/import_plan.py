@@ -207,9 +207,10 @@ def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSp
     whole = _rounds(touches, columns, spec.split)
     taken = {name for of_split in whole.values() for name in of_split}
     size = common_size(touches, read.contents, read.one_size_per_file)
-    schema = import_shards.touch_schema(columns, names, touches)
+    extras = fields.ExtraColumns.of(touches, columns)
+    schema = import_shards.touch_schema(extras, names, has_clips=touches.has_clips)
     make_shard = import_shards.ImportTouches(
-        recordings.layout, columns, names, size, schema, recordings.versions
+        recordings.layout, columns, names, size, schema, extras, recordings.versions
     )
     contents = _contents_of(touches, columns, names)
     shards = {}

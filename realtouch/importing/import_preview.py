@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 
@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch import touch_options
-from realtouch.importing import fields, import_plan, import_shards, import_sources, source_touches
+from realtouch.importing import fields, import_plan, import_sources, source_touches
 from tactile_toolkit import store, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonValue
@@ -123,7 +123,7 @@ def preview_import(
         usable,
         touches.make_shard.names,
         _pictures_in_words(recordings, touches),
-        _uses(recordings, import_shards.extras_in(touches.make_shard.schema)),
+        _uses(recordings, touches.make_shard.extras),
         _first(touches, parts),
         list(recordings.streams),
         [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
@@ -161,11 +161,11 @@ def _pictures_in_words(recordings: import_sources.ReadSource, touches: import_pl
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
 
-def _uses(recordings: import_sources.ReadSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
+def _uses(recordings: import_sources.ReadSource, extras: fields.ExtraColumns) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = recordings.columns
     roles: dict[str | None, str] = {
-        **{source: f"extra {name!r}" for source, name in fields.kept_sources(columns, extras).items()},
+        **{source: f"extra {name!r}" for source, name in extras.names.items()},
         columns.label: "label",
         columns.round: "round",
         columns.object_id: "object_id",

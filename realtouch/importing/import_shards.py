@@ -81,6 +81,7 @@ class ImportTouches:
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
+    extras: fields.ExtraColumns
     versions: Mapping[source_touches.File, import_sources.Version]
 
     def _contents(self, touches: source_touches.SourceTouches) -> Iterator[bytes | errors.ItemError]:
@@ -99,14 +100,13 @@ class ImportTouches:
         tables = [self.schema.empty_table()]
         skipped = list[store.Skipped]()
         notes, others, converted = Counter[str](), Counter[str](), Counter[str]()
-        extras = extras_in(self.schema)
         values = self._read_fields(touches)
         contents = self._contents(touches)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, values, contents, digest, converted)
-            tables.append(table_of_touches(stored, self.columns, self.schema))
+            tables.append(table_of_touches(stored, self.extras, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
-            others.update(fields.not_kept(stored.touches, self.columns, extras))
+            others.update(self.extras.not_kept(stored.touches))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
         self._require_unchanged(touches)
@@ -305,11 +305,10 @@ class StoredTouches:
     clips: Sequence[ImportedClip]
 
 
-def touch_schema(
-    columns: touch_options.ImportColumns, names: Sequence[str], touches: source_touches.SourceTouches
-) -> pa.Schema:
+def touch_schema(extras: fields.ExtraColumns, names: Sequence[str], *, has_clips: bool) -> pa.Schema:
     """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
-    kind: stored_schema.Kind = "seq" if touches.has_clips else "single"
+    kind: stored_schema.Kind = "seq" if has_clips else "single"
+    columns = extras.columns
     known: dict[str, pa.DataType] = {}
     if columns.position:
         known["pos_in_cell"] = pa.list_(pa.float64(), 2)
@@ -325,7 +324,7 @@ def touch_schema(
             "touch_end_time_rel": _TIME,
         }
     known[stored_schema.MEDIA_COLUMN[kind]] = MEDIA_TYPE
-    known |= fields.extra_types(touches, columns)
+    known |= extras.types
     of_round = [("id", pa.string()), ("label", pa.int64())]
     if columns.object_id:
         of_round.append(("object_id", pa.int64()))
@@ -333,17 +332,7 @@ def touch_schema(
     return with_features(pa.schema([*of_round, *of_touches]), names)
 
 
-def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
-    """Return the type of the value of a touch in each extra column of a schema."""
-    return {
-        name: schema.field(name).type.value_type
-        for name in stored_schema.extra_columns(schema.names).values()
-    }
-
-
-def table_of_touches(
-    stored: StoredTouches, columns: touch_options.ImportColumns, schema: pa.Schema
-) -> pa.Table:
+def table_of_touches(stored: StoredTouches, extras: fields.ExtraColumns, schema: pa.Schema) -> pa.Table:
     """Return touches of whole rounds, one round after the other, as rows."""
     rounds = source_touches.one_chunk(stored.touches.listing["round"])
     codes = rounds.dictionary_encode().indices.to_numpy()
@@ -354,8 +343,7 @@ def table_of_touches(
         "object_id": pa.array(stored.objects[starts]),
     }
     of_touches = _media_and_poses(stored, schema)
-    extras = extras_in(schema)
-    of_touches |= fields.extra_arrays(stored.touches, columns, extras)
+    of_touches |= extras.arrays(stored.touches)
     offsets = pa.array([*starts.tolist(), len(codes)], pa.int32())
     for name, values in of_touches.items():
         if name in schema.names:

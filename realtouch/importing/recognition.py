@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,6 +25,11 @@ _MAX_FOLDERS = 200
 _MAX_DEPTH = 3
 _PATHS_SHOWN = 3
 _ARRAYS_SHOWN = 8
+# What a damaged zip, or an array in it, raises.
+_DAMAGE = (
+    *(zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError),
+    *(LookupError, TypeError, SyntaxError, MemoryError, OverflowError),
+)
 _TAR_OFFSET = 257
 _ZIP = b"PK\x03\x04"
 # First bytes of files that are not videos: offset, bytes.
@@ -164,7 +170,7 @@ def _arrays_of(folder: store.DataFolder, path: str) -> str:
     """Return the names and shapes of the arrays of an NPZ file, for a message; empty if there are none."""
     arrays = []
     with (
-        suppress(zipfile.BadZipFile, OSError, ValueError, NotImplementedError, errors.ItemError),
+        suppress(*_DAMAGE, errors.ItemError),
         folder.open_inside(path) as stream,
         zipfile.ZipFile(stream) as archive,
     ):
@@ -200,7 +206,7 @@ def _of_file(path: str) -> Recognised:
 
 def _is_oxt(stream: IO[bytes]) -> bool:
     # A damaged zip, or one that Python does not read, is refused where its arrays are read.
-    with suppress(zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+    with suppress(*_DAMAGE):
         return any(map(_OXT_MEMBER.search, zipfile.ZipFile(stream).namelist()))
     return False
 

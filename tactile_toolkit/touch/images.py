@@ -152,30 +152,33 @@ def storable_image(data: bytes) -> tuple[bytes, str]:
     if is_jpeg(data) or data.startswith((b"\x89PNG", b"RIFF")):
         return data, ""
     try:
-        image = Image.open(io.BytesIO(data), formats=_CONVERTED)
+        with Image.open(io.BytesIO(data), formats=_CONVERTED) as image:
+            problem = _problem_of_conversion(image)
+            if not problem:
+                return encode_png(image), str(image.format)
     except UnidentifiedImageError:
         return data, ""
     except Exception as error:
         raise _undecodable(data) from error
-    pictures = getattr(image, "n_frames", 1)
-    if pictures > 1:
-        raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
+    raise ValueError(problem)
+
+
+def _problem_of_conversion(image: Image.Image) -> str:
+    """Return why a PNG does not hold an image without loss; empty if it does."""
+    if getattr(image, "is_animated", False):
+        return "an image of several pictures, one after the other; expected one"
     if image.width * image.height > MAX_IMAGE_PIXELS:
-        raise ValueError(
-            f"an image of {image.width} x {image.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-        )
+        return f"an image of {image.width} x {image.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
     bits = np.max(getattr(image, "tag_v2", {}).get(_BITS_PER_SAMPLE, 8))
-    top_levels: list[Any] = [tile[3][-1] for tile in image.tile if tile[0] == "ppm" and tile[3]]
+    tiles = getattr(image, "tile", [])
+    top_levels: list[Any] = [tile[3][-1] for tile in tiles if tile[0] == "ppm" and tile[3]]
     if image.mode in _DEEP_MODES or bits > 8 or max(top_levels, default=0) > _MAX_LEVEL:
-        raise ValueError(f"an image of 16 bits a colour ({image.mode}); expected 8")
+        return f"an image of 16 bits a colour ({image.mode}); expected 8"
     if image.mode not in _PNG_MODES:
-        raise ValueError(f"a {image.format} with the colours {image.mode}; expected grey or RGB")
+        return f"a {image.format} with the colours {image.mode}; expected grey or RGB"
     if image.getexif().get(_ORIENTATION) in _TURNED:
-        raise ValueError(_TURNED_BY_READERS)
-    try:
-        return encode_png(image), str(image.format)
-    except Exception as error:
-        raise _undecodable(data) from error
+        return _TURNED_BY_READERS
+    return ""
 
 
 def require_bounded_jpeg(data: memoryview | bytes) -> None:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 import realtouch
 from realtouch import contact
 from realtouch.importing import fields, import_sources
-from realtouch.importing.fields import extra_arrays, extra_types
+from realtouch.importing.fields import ExtraColumns
 from realtouch.importing.source_touches import PictureLocation, Recording, SourceTouches, touches_of
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
@@ -494,8 +494,7 @@ def touches(said: dict[str, pa.Array]) -> SourceTouches:
 
 
 def kept(every: SourceTouches, columns: realtouch.ImportColumns) -> tuple[str, Any]:
-    ((name, data_type),) = extra_types(every, columns).items()
-    array = extra_arrays(every, columns, {name: data_type})[name]
+    ((name, array),) = ExtraColumns.of(every, columns).arrays(every).items()
     return name, array.to_pylist()
 
 

@@ -14,6 +14,8 @@ from PIL import Image
 import realtouch
 from realtouch.importing import import_plan, import_preview
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import intact_size, storable_image
+from tests.mutations import mutated
 from tests.realtouch.images_of_others import line, picture, write_table
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
@@ -58,7 +60,7 @@ def test_pictures_of_every_format_are_read_without_loss(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (encoded("TIFF", save_all=True, append_images=[Image.fromarray(PIXELS)]), "of 2 pictures"),
+        (encoded("TIFF", save_all=True, append_images=[Image.fromarray(PIXELS)]), "of several pictures"),
         (encoded("TIFF", np.zeros((24, 32), np.uint16)), "of 16 bits a colour"),
         (encoded("TIFF", Image.fromarray(PIXELS).convert("CMYK")), "a TIFF with the colours CMYK"),
         (encoded("TIFF", tiffinfo={274: 6}), "ask to turn it"),
@@ -72,6 +74,21 @@ def test_pictures_that_png_does_not_hold_are_left_out(content: bytes, words: str
     (skipped,) = imported(home, tmp_path / "out").shards[0].skipped
     assert skipped.reason == "image"
     assert words in skipped.message
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [("BMP", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("PPM", {})],
+)
+def test_any_damage_of_a_picture_gives_a_picture_or_a_message(kind: str, options: dict[str, Any]) -> None:
+    whole, refused = encoded(kind, **options), 0
+    for seed in range(500):
+        try:
+            intact_size(storable_image(mutated(whole, seed))[0])
+        except ValueError:
+            refused += 1
+    assert 0 < refused < 500
 
 
 def test_files_that_are_not_read_are_listed(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.recognition import recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
+from tests.mutations import mutated
 
 FILES = {
     "video": ("takes/a.avi", b"RIFF\x00\x00\x00\x00AVI "),
@@ -143,3 +144,14 @@ def test_arrays_of_npz_are_named_and_the_advice_works(tmp_path: Path) -> None:
     columns = realtouch.ImportColumns(image="tactile")
     shown = realtouch.preview_import(tmp_path / "arrays.hdf5", realtouch.ImportSpec(columns=columns))
     assert shown.touches == 3
+
+
+@pytest.mark.thorough
+def test_any_damage_of_npz_gives_a_message(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, pictures=np.zeros((3, 8, 8, 3), np.uint8), force=np.zeros((3, 6)))
+    whole = path.read_bytes()
+    for seed in range(500):
+        path.write_bytes(mutated(whole, seed))
+        with pytest.raises(InputError):
+            recognised(str(path))
