@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -388,8 +389,8 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     return HeightMap(heights_m, first_column, first_row, float(pitch_m))
 
 
-def _is_length(value: object) -> bool:
-    return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
+def _is_length(value: Any) -> bool:
+    return isinstance(value, (Real, np.number)) and bool(0 < value <= sys.float_info.max)
 
 
 def _centres_m(first: int, count: int, pitch_m: float) -> Float64:

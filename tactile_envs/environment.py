@@ -137,7 +137,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             The environment was closed.
         """
         self._require_open()
-        reset_options = motion.ResetOptions.of(options or {}, self.num_envs)
+        reset_options = motion.ResetOptions.of({} if options is None else options, self.num_envs)
         if reset_options.rows is not motion.EVERY:
             self._require_reset()
         super().reset(seed=seed)
@@ -208,7 +208,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if self._any_over and self.autoreset_mode is AutoresetMode.DISABLED:
             raise gym.error.ResetNeeded(_OVER)
         predicted, moved = _parts_of(action)
-        predictions = np.asarray(predicted, np.float32)
+        predictions = motion.single_precision(predicted, "prediction")
         if predictions.shape != self._prediction_shape:
             raise InputError(f"predictions have shape {predictions.shape}; expected {self._prediction_shape}")
         moves = self._scene.checked_action(moved)

@@ -85,7 +85,14 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
     InputError for another shape, and for numbers so large that the cost, a square, is not finite; ValueError
     for NaN and infinite numbers, as in the published environment.
     """
-    moves = np.ascontiguousarray(action[name], np.float32)
+    try:
+        value = action[name]
+    except (IndexError, KeyError, TypeError) as error:
+        raise InputError(
+            f"an action of the type {type(action).__name__} does not hold {name!r}",
+            next="give it for every environment, as `action_space.sample()` does",
+        ) from error
+    moves = single_precision(value, name)
     if moves.shape != (num_envs, 3):
         raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
     sizes = np.abs(moves)
@@ -99,6 +106,15 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
         "the cost of such an action is not finite",
         next="check the policy; longer movements than 1 are shortened to 1",
     )
+
+
+def single_precision(value: object, name: str) -> Float32:
+    """Return an array in single precision, infinite where a number is too large; InputError for others."""
+    try:
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(value, np.float32)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"is {value!r}; expected an array of numbers", field=name) from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +165,10 @@ def _rows(options: Options, num_envs: int) -> Rows:
     mask = options.get(_RESET_MASK)
     if mask is None:
         return EVERY
-    is_reset = np.asarray(mask)
+    try:
+        is_reset = np.asarray(mask)
+    except ValueError:  # lists of several lengths
+        is_reset = np.zeros(0)
     if is_reset.dtype != np.bool_ or is_reset.shape != (num_envs,) or not is_reset.any():
         raise InputError(
             f"option {_RESET_MASK!r} is {mask!r}; expected {num_envs} times True or False, and True once at "

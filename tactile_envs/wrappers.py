@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector.utils import batch_space
 
+from tactile_envs import motion
 from tactile_envs.config import Info, Observation, Space
 from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
@@ -17,6 +18,7 @@ from tactile_toolkit.errors import InputError
 LOGIT_LIMIT = 5.0
 """Bound of parts of an action that have none; the probability of one of ten classes is at most 0.9996."""
 
+_LARGEST_LIMIT = 1e30
 _Path = tuple[str, ...]
 
 
@@ -113,8 +115,10 @@ class _FlatForm:
     """Spaces of flat actions and of observations without single numbers, and conversions to and from them."""
 
     def __init__(self, action: Space, observation: Space, limit: float) -> None:
-        if not (isinstance(limit, (int, float)) and 0 < limit < np.inf):
-            raise InputError(f"is {limit!r}; expected a positive number", field="limit")
+        if not (isinstance(limit, (int, float)) and 0 < limit <= _LARGEST_LIMIT):
+            raise InputError(
+                f"is {limit!r}; expected a positive number up to {_LARGEST_LIMIT:g}", field="limit"
+            )
         self._parts: list[_Part] = []
         lows = []
         highs = []
@@ -134,7 +138,7 @@ class _FlatForm:
 
     def unflatten(self, flat: AnyArray, *batch: int) -> Info:
         """Return actions of the environment; InputError if flat ones have another shape."""
-        numbers = np.asarray(flat, np.float32)
+        numbers = motion.single_precision(flat, "action")
         shape = (*batch, *self.action_space.shape)
         if numbers.shape != shape:
             raise InputError(f"the action has shape {numbers.shape}; expected {shape}")
