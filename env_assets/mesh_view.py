@@ -389,8 +389,9 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     return HeightMap(heights_m, first_column, first_row, float(pitch_m))
 
 
-def _is_length(value: Any) -> bool:
-    return isinstance(value, (Real, np.number)) and bool(0 < value <= sys.float_info.max)
+def _is_length(value: object) -> bool:
+    number: Any = value if isinstance(value, (Real, np.number)) else 0
+    return bool(0 < number <= sys.float_info.max)
 
 
 def _centres_m(first: int, count: int, pitch_m: float) -> Float64:
