@@ -18,7 +18,6 @@ import starstruck_gen
 from env_assets import mesh_view
 from env_assets.wrench.dataset import WrenchDataset
 from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, store
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.mesh import SolidDataset
 from tactile_toolkit.places import open_place
@@ -269,22 +268,6 @@ class AssetProvider:
             ("touches", source, split),
             lambda: realtouch.load(source, split, revision=self._commit_of(source)),
         )
-
-    def volumes_m3(self, name: str, split: str = "train") -> Float64:
-        """Return the volume of each mesh of a split, in the order of :meth:`meshes`; makes no record.
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            Cubic metres. Data sets that store no volumes have them computed once.
-
-        Raises
-        ------
-        InputError, IntegrityError, HubError
-            As :meth:`meshes`.
-        """
-        view = self._once(("measured", name, split), lambda: mesh_view.MeshView(self.meshes(name, split), ()))
-        return view.volumes_m3
 
     def _once(self, what: tuple[str, str, str], make: Callable[[], T]) -> T:
         """Return the stored value, or make it; if two threads make it at once, the first one wins."""

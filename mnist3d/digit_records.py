@@ -155,11 +155,4 @@ class DigitDataset(mesh.SolidDataset[DigitRecord]):
         )
 
 
-class DigitStream(mesh.RecordStream[DigitRecord]):
-    """Digits one after another, read on demand.
-
-    See :class:`~tactile_toolkit.mesh.RecordStream`.
-    """
-
-
-load = places.loader(KIND, DigitDataset, DigitStream)
+load = places.loader(KIND, DigitDataset, mesh.RecordStream[DigitRecord])

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -132,9 +131,7 @@ class WrenchGenerator(generation.RowGenerator):
         ]
 
 
-def write_wrench(
-    spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
-) -> store.Manifest:
+def write_wrench(spec: WrenchSpec, out: str, *, overwrite: bool = False) -> store.Manifest:
     """Write a data set of one wrench.
 
     Parameters
@@ -143,11 +140,8 @@ def write_wrench(
         Sizes of its nuts.
     out : str
         Folder to write; a folder that holds the same wrench stays as it is.
-    mesh_file : path, optional
-        Also write only the mesh, for a printer: a file with one of the endings of
-        :data:`tactile_toolkit.mesh.MeshFile.FORMATS`.
     overwrite : bool
-        Replace another data set of this toolkit in the folder, and the file of the mesh.
+        Replace another data set of this toolkit in the folder.
 
     Returns
     -------
@@ -157,19 +151,16 @@ def write_wrench(
     Raises
     ------
     InputError
-        The folder holds something else, or the file exists or has an unknown ending.
+        The folder holds something else.
     SpecMismatchError
         The folder holds another wrench.
     StorageError
-        The folder or the file cannot be written.
+        The folder cannot be written.
 
     Notes
     -----
     Equal specifications give byte-identical Parquet.
     """
-    if mesh_file is not None:  # before the folder, so that a refusal leaves nothing behind
-        store.open_output(mesh_file, overwrite=overwrite)
-        mesh.write_mesh(store.expanded(mesh_file), wrench_mesh(spec))
     return WrenchGenerator(spec).generate(out, overwrite=overwrite)
 
 

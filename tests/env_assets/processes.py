@@ -22,7 +22,7 @@ def fingerprint(provider: Any) -> list[Any]:
         [float(record.mesh.volume) for record in digits],
         float(np.nansum(top_surface(digits[0], 0.001).heights_m)),
         provider.touches("real-single").ids.tolist(),
-        provider.volumes_m3("starstruck").tolist(),
+        provider.meshes("starstruck").volumes_m3.tolist(),
     ]
 
 

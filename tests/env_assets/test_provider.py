@@ -67,7 +67,7 @@ def test_touches_come_from_a_folder_of_the_root_first(provider, assets):
 
 def test_volumes_are_those_of_the_meshes(provider, assets, tmp_path):
     for name, split in (("mnist3d", "test"), ("starstruck", "train"), ("wrench", "train")):
-        volumes = provider.volumes_m3(name, split)
+        volumes = provider.meshes(name, split).volumes_m3
         expected = [record.mesh.volume for record in provider.meshes(name, split)]
         assert volumes.dtype == np.float64
         np.testing.assert_allclose(volumes, expected, rtol=1e-6)
@@ -90,9 +90,10 @@ def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
     file.write_bytes(content)
     spoiled = env_assets.AssetProvider(tmp_path)
     whole = env_assets.AssetProvider(assets)
-    np.testing.assert_array_equal(spoiled.volumes_m3("mnist3d", "test"), whole.volumes_m3("mnist3d", "test"))
+    digits = spoiled.meshes("mnist3d", "test")
+    np.testing.assert_array_equal(digits.volumes_m3, whole.meshes("mnist3d", "test").volumes_m3)
     with pytest.raises(IntegrityError, match="damaged"):
-        _ = spoiled.meshes("mnist3d", "test")[0].vertices_m
+        _ = digits[0].vertices_m
 
 
 def test_a_height_map_is_in_the_frame_of_the_mesh(provider):
