@@ -131,7 +131,7 @@ def render(
         read=_position_m,
         help="Centre of the gel, relative to the origin of the mesh; object: a place on the mesh.",
     ),
-    turn_deg: float = checked_fields.real(0.0, help="Rotation of the object about z."),
+    turn_deg: float = checked_fields.real(0.0, -36_000, 36_000, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
     picture: Annotated[options.UserOptions, options.OptionsOf(TouchSetSpec)],
     press: Annotated[options.UserOptions, options.OptionsOf(tactile_sim.ElasticPress)],

@@ -42,8 +42,9 @@ def finite_array(
     if array is None or array.ndim != len(shape) or not _has_sides(array.shape, shape):
         raise InputError(f"{name} is {shown(value)}; expected {expected}")
     if not (np.abs(array) <= most).all() or not np.isfinite(array).all():
-        beyond = f" or beyond {most:g}" if math.isfinite(most) else ""
-        raise InputError(f"{name} holds numbers that are not finite{beyond}; expected {expected}")
+        wrong = array[~(np.isfinite(array) & (np.abs(array) <= most))].flat[0]
+        limit = f", at most {most:g}" if math.isfinite(most) else ""
+        raise InputError(f"{name} is or holds {wrong:g}; expected {expected}, finite{limit}")
     return array
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,17 +25,23 @@ def read_values(path: str | Path, values: type[T], what: str) -> T:
 
     InputError, in which ``what`` names the content of the file, for any other file.
     """
+    declared = [field for field in fields(values) if field.name != "twin"]  # type: ignore[arg-type]
+    names = [field.name for field in declared]
+    required = {field.name for field in declared if field.default is MISSING}
     try:
         with store.open_regular(store.expanded(path)) as stream:
             data = stream.read(_MAX_BYTES)
         stored = msgspec.json.decode(data, type=dict[str, str | int | float])
+        if not required <= set(stored) <= set(names):
+            problem = f"it has {', '.join(stored) or 'no values'}"
+            raise msgspec.ValidationError(problem)
         return values(**stored)
     except InputError as error:
         raise InputError(f"{str(path)!r}: {error}") from error
-    except (OSError, IntegrityError, msgspec.DecodeError, TypeError) as error:
-        names = ", ".join(field.name for field in fields(values))  # type: ignore[arg-type]
+    except (OSError, IntegrityError, msgspec.DecodeError) as error:
         raise InputError(
-            f"{what} cannot be read from {str(path)!r} ({error}); expected a JSON object with {names}"
+            f"{what} cannot be read from {str(path)!r} ({error}); expected a JSON object with "
+            f"{', '.join(names)}"
         ) from error
 
 

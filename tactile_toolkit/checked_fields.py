@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 _RULE = "rule"
 _MAX_INTEGER = (1 << 63) - 1
-_MAX_ENTRIES = 1 << 20  # of an array, or of an iterator, which cannot state its length
+_MAX_ENTRIES = 1 << 20  # of an iterator, which cannot state its length
+_MAX_ARRAY = 1 << 24
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 _PLACEHOLDERS: dict[type, str] = {float: "X"}
 Declared: TypeAlias = Any
@@ -229,7 +230,7 @@ def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:
     neither a number nor an iterable is returned unchanged, for the checks that follow, as is an array of
     too many entries.
     """
-    too_many = math.prod(getattr(value, "shape", ())) > _MAX_ENTRIES
+    too_many = math.prod(getattr(value, "shape", ())) > _MAX_ARRAY
     if too_many or isinstance(value, (str, bytes, Mapping)):
         return value
     # An array without dimensions is a number, although its type is iterable.

@@ -73,7 +73,7 @@ class Optics(ABC):
         fits = is_real_array(depth_m) and depth_m.dtype in (np.float32, np.float64)
         if not fits or depth_m.ndim != 3 or min(depth_m.shape[1:]) < self.min_side_px:
             raise InputError(
-                f"depth_m is {shown(depth_m)}; expected an array of floats (n, height, width) with at least "
+                f"depth maps are {shown(depth_m)}; expected floats (n, height, width) with at least "
                 f"{self.min_side_px} pixels a side"
             )
         # Kernels look values up by place in a table, so each of them must be a number.

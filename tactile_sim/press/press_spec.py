@@ -51,7 +51,7 @@ def gel_named(word: str) -> Gel | None:
     elif word.endswith(".json"):
         made = _read_gel(word)
     else:
-        raise InputError(f"the gel is {word!r}; expected none, elastic, or a JSON file")
+        raise InputError(f"is {word!r}; expected none, elastic, or a JSON file", field="gel")
     return made
 
 

@@ -43,8 +43,8 @@ def checked_layer_m(layer_m: object) -> float:
     if isinstance(height_m, float) and (height_m == 0 or _MIN_LAYER_M <= height_m <= _MAX_LAYER_M):
         return height_m
     raise InputError(
-        f"layers are {layer_m!r} m high; expected {_MIN_LAYER_M} to {_MAX_LAYER_M} m, such as 0.0002, or "
-        "0 for none"
+        f"is {layer_m!r} m; expected {_MIN_LAYER_M} to {_MAX_LAYER_M} m, such as 0.0002, or 0 for none",
+        field="layer_m",
     )
 
 

@@ -115,10 +115,10 @@ def checked_size_px(size_px: object) -> tuple[int, int]:
     if not (
         isinstance(size, tuple) and len(size) == 2 and checked_fields.is_integer(*size) and min(size) >= 1
     ):
-        raise InputError(f"size of the image is {size_px!r}; expected width and height in whole pixels")
+        raise InputError(f"is {size_px!r}; expected width and height in whole pixels", field="size_px")
     if size[0] * size[1] > touch.MAX_IMAGE_PIXELS:
         raise InputError(
-            f"size of the image is {size[0]} x {size[1]}; expected at most {touch.MAX_IMAGE_PIXELS:,} pixels"
+            f"is {size[0]} x {size[1]}; expected at most {touch.MAX_IMAGE_PIXELS:,} pixels", field="size_px"
         )
     return size
 
@@ -255,6 +255,8 @@ class SensorModel:
             if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
                 raise InputError(f"{name} of the sensor is not a text of at most {_LONGEST_TEXT} characters")
         check_fields(self, "the sensor")
+        if self.twin is not None and not hasattr(self.twin, "sha256"):
+            raise InputError(f"twin of the sensor is {type(self.twin).__name__}; expected a Twin, or None")
 
     @classmethod
     def named(cls, word: str) -> SensorModel:
@@ -270,19 +272,15 @@ class SensorModel:
         if Path(word).expanduser().is_dir():
             return cls.load(word)
         raise InputError(
-            f"no sensor {word!r}; expected one of {', '.join(SENSORS)}, a JSON file with "
-            f"{', '.join(cls.geometry_names())}, or a folder that `tactile-sim calibrate` wrote"
+            f"is {word!r}; expected one of {', '.join(SENSORS)}, a JSON file with "
+            f"{', '.join(cls.geometry_names())}, or a folder that `tactile-sim calibrate` wrote",
+            field="sensor",
         )
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> SensorModel:
         """Read a calibrated sensor from its folder; InputError if the sensor is missing or damaged."""
-        geometry, twin = _read_sensor(fspath(folder))
-        if not set(geometry) <= set(cls.geometry_names()):
-            raise InputError(
-                f"the sensor in {fspath(folder)!r} has the fields {', '.join(geometry)}; expected "
-                f"{', '.join(cls.geometry_names())}"
-            )
+        geometry, twin = _read_sensor(fspath(folder), cls.geometry_names())
         return cls(**geometry, twin=twin)
 
     def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,8 +52,11 @@ def write_sensor(folder: str, model: SensorModel, twin: Twin, *, overwrite: bool
     output.write({ARRAYS_FILE: npz_bytes(twin.arrays()), SENSOR_FILE: text.encode()})
 
 
-def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
-    """Return the geometry and the twin of a folder; InputError if the sensor is missing or damaged."""
+def read_sensor(folder: str | Path, names: Sequence[str]) -> tuple[dict[str, Any], Twin]:
+    """Return the geometry, of values with these names, and the twin of a folder.
+
+    InputError if the sensor is missing or damaged.
+    """
     root = store.expanded(folder)
     file = root / SENSOR_FILE
     if not file.is_file():
@@ -68,6 +71,9 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
             problem = f"its format is not {_FORMAT!r} {_VERSION}"
             raise ValueError(problem)
         geometry = dict(document["sensor"])
+        if set(geometry) != set(names):
+            problem = f"it states {', '.join(geometry) or 'no geometry'}; expected {', '.join(names)}"
+            raise ValueError(problem)
         arrays, _ = read_npz(root / ARRAYS_FILE)
         report = dict(document["report"])
         _require_report(report)

@@ -245,7 +245,7 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     assert tactile_sim.TouchSetSpec(optics="depth", sensor=THIN.to_dict()).sensor == THIN
     with pytest.raises(InputError, match=r"'taxim' are calibrated for the GelSight Mini.*add --optics depth"):
         tactile_sim.TouchSetSpec(optics="taxim", sensor="digit")
-    with pytest.raises(InputError, match="no sensor 'finger'; expected one of gelsight-mini, digit, gels"):
+    with pytest.raises(InputError, match="sensor is 'finger'; expected one of gelsight-mini, digit, gels"):
         tactile_sim.SensorModel.named("finger")
     with pytest.raises(InputError, match="the sensor is 3; expected a SensorModel"):
         tactile_sim.TouchSetSpec(optics="depth", sensor=3)
