@@ -25,7 +25,7 @@ from mnist3d.ink.grey_levels import as_grey, fit
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import cache, store
 from tactile_toolkit.array_types import AnyArray, Int64, UInt8
-from tactile_toolkit.columns.known_formats import KnownFormat
+from tactile_toolkit.columns import known_formats
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 from tactile_toolkit.wording import with_count
 
@@ -433,7 +433,7 @@ def read_idx(path: Path, magic: int) -> UInt8:
 
 
 def _unusable(path: Path, content: str, expected: object) -> InputError:
-    known = KnownFormat.of_file(path)
+    known = known_formats.KnownFormat.of_file(path)
     if known is not None and known.key != "gzip":  # IDX files are read compressed, too
         return InputError(f"{path}: found {known.name}, expected {expected}", next=known.step)
     return InputError(

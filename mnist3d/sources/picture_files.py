@@ -29,7 +29,7 @@ from mnist3d.ink.grey_levels import (
 )
 from tactile_toolkit import cache, store, touch
 from tactile_toolkit.array_types import Bool, UInt8
-from tactile_toolkit.columns.known_formats import START_BYTES, KnownFormat
+from tactile_toolkit.columns import known_formats
 from tactile_toolkit.errors import (
     InputError,
     ItemError,
@@ -237,8 +237,7 @@ def _opened(path: Path, page: int = 0) -> Iterator[Image.Image]:
             _KEPT[key] = kept
             return
         with store.open_regular(path) as stream:
-            known = KnownFormat.of(stream.read(START_BYTES))
-            stream.seek(0)
+            known = known_formats.KnownFormat.of(stream)
             if known is not None and known.key == "svg":
                 yield _drawn_svg(stream)
                 return
@@ -279,7 +278,7 @@ def _named_errors(path: Path) -> Iterator[None]:
         ):
             next_step = f"{install_line('heic')}, or store it as JPEG"
         message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
-        known = KnownFormat.of_file(path) if isinstance(error, UnidentifiedImageError) else None
+        known = known_formats.KnownFormat.of_file(path) if isinstance(error, UnidentifiedImageError) else None
         if known is not None:
             message = f"{path}: is {known.name}; expected a picture"
             next_step = known.step

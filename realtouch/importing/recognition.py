@@ -17,8 +17,7 @@ from realtouch.importing import source_files
 from realtouch.kind import KIND
 from realtouch.video import video_files
 from tactile_toolkit import errors, places, store, wording
-from tactile_toolkit.columns import tables
-from tactile_toolkit.columns.known_formats import KnownFormat
+from tactile_toolkit.columns import known_formats, tables
 
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
@@ -105,7 +104,7 @@ def recognised(address: str) -> Recognised:
     if [*marked] == ["folder"]:
         # The images beside the pickles of Sparsh are backgrounds, which must not pass for touches.
         near = [path for path in paths if path.count("/") < 2]
-        known = [(path, KnownFormat.by_ending(path)) for path in near]
+        known = [(path, known_formats.KnownFormat.by_ending(path)) for path in near]
         _refuse_foreign(home, [path for path, held in known if held is not None and held.key == "pickle"])
     if not marked:
         _refuse_foreign(home, paths)
@@ -143,16 +142,16 @@ def reason_unread(path: str, layout: str) -> str:
         return "a table that was not named; see --table, --stream and --cut"
     if path.lower().endswith(source_files.IMAGE_ENDINGS):
         return "a picture that no table names" if layout == "folder" else "a picture"
-    known = KnownFormat.by_ending(path)
+    known = known_formats.KnownFormat.by_ending(path)
     return f"not of the format {layout}" if known is None else known.name
 
 
 def _refuse_foreign(folder: store.DataFolder, paths: Sequence[str], head: bytes = b"") -> None:
     """Raise InputError for the first path of a known format that is not read, by name or first bytes."""
     for path in paths:
-        known = KnownFormat.by_ending(path)
+        known = known_formats.KnownFormat.by_ending(path)
         if known is None and head:
-            known = KnownFormat.of(head)
+            known = known_formats.KnownFormat.of(head)
         if known is None or known.key in _READ:
             continue
         what = known.name

@@ -17,8 +17,7 @@ from tactile_sim.sets.touched_solids import given_solids, open_split
 from tactile_sim.twin.recordings import Recordings
 from tactile_toolkit import places, store, touch
 from tactile_toolkit.array_types import Float64, UInt8
-from tactile_toolkit.columns import tables, units
-from tactile_toolkit.columns.known_formats import KnownFormat
+from tactile_toolkit.columns import known_formats, tables, units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 
@@ -128,7 +127,7 @@ def read_image(file: Path, root: Path | None = None) -> UInt8:
     except FileNotFoundError as error:
         raise InputError(f"there is no image {str(file)!r}", next="check its name in the table") from error
     except (OSError, ValueError) as error:
-        known = KnownFormat.of_file(file)
+        known = known_formats.KnownFormat.of_file(file)
         if known is not None:
             raise InputError(f"{str(file)!r} is {known.name}; expected an image", next=known.step) from error
         raise InputError(

@@ -9,11 +9,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from tactile_toolkit.store.files import open_regular
 
-START_BYTES = 1 << 10
-"""Bytes at the start of a file by which its format is recognised."""
+_START_BYTES = 1 << 10
 
 _Test = Callable[[bytes], object]
 _PICTURES = "write its pictures as PNG files, and their labels or values as a CSV table"
@@ -58,7 +58,7 @@ class KnownFormat:
     step : str
         What to do with such a file.
     fits : callable
-        Takes the first :data:`START_BYTES` of a file, and returns whether it has the format.
+        Takes the first bytes of a file, and returns whether it has the format.
     endings : tuple of str
         Endings of names in lower case, of formats that are read nowhere.
     """
@@ -70,8 +70,17 @@ class KnownFormat:
     endings: tuple[str, ...] = ()
 
     @staticmethod
-    def of(start: bytes) -> KnownFormat | None:
-        """Return the format of a file by its first :data:`START_BYTES`; None if it is unknown."""
+    def of(file: bytes | IO[bytes]) -> KnownFormat | None:
+        """Return the format of a file by its beginning, or that of a stream; None if it is unknown.
+
+        A kilobyte is enough. A stream is then at its start.
+        """
+        if isinstance(file, bytes):
+            start = file
+        else:
+            file.seek(0)
+            start = file.read(_START_BYTES)
+            file.seek(0)
         return next((known for known in KNOWN_FORMATS if known.fits(start)), None)
 
     @classmethod
@@ -79,7 +88,7 @@ class KnownFormat:
         """Return the format of a local file; None if it is unknown or cannot be read."""
         try:
             with open_regular(path) as stream:
-                return cls.of(stream.read(START_BYTES))
+                return cls.of(stream)
         except OSError:
             return None
 

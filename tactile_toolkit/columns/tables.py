@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from tactile_toolkit import cache, store, wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
-from tactile_toolkit.columns.known_formats import START_BYTES, KnownFormat
+from tactile_toolkit.columns.known_formats import KnownFormat
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.json_types import JsonDict
 
@@ -255,7 +255,7 @@ class Table:
     def _known_format(self) -> KnownFormat | None:
         """Return the format of a file that could not be read as a table; None if it is unknown."""
         with suppress(InputError, IntegrityError, OSError), self._open() as stream:
-            known = KnownFormat.of(stream.read(START_BYTES))
+            known = KnownFormat.of(stream)
             return None if known is None or known.key in self._own_keys else known
         return None
 
