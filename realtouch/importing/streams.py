@@ -346,9 +346,10 @@ def with_streams(
         else:
             sample_s = stream.time_s + how.time_offset_s
             columns_added, facts = _by_time(recording, stream, recording.time_s, sample_s, how, columns)
-            if recording.is_at_stated_rate and recording.frames > 1 and (are_beside or not how.time_offset_s):
-                ends = (float(np.ptp(recording.time_s)), float(np.ptp(sample_s)))
-                _require_same_duration(recording, stream, *ends, how)
+            has_duration = recording.is_at_stated_rate and min(recording.frames, stream.rows) > 1
+            if has_duration and (are_beside or not how.time_offset_s):
+                durations_s = (float(np.ptp(recording.time_s)), float(np.ptp(sample_s)))
+                _require_same_duration(recording, stream, *durations_s, how)
         added = dict(recording.per_frame)
         for name, values in columns_added.items():
             while name in added or name in recording.values:
