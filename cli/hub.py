@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Callable, Sequence
 
@@ -23,6 +22,7 @@ _is_sensor = lazy("tactile_sim.twin.sensor_repositories:is_sensor")
 _prepare_sensor = lazy("tactile_sim.twin.sensor_repositories:prepare_upload")
 _sensor_download = lazy("tactile_sim.twin.sensor_repositories:SensorDownload.of")
 _disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars")  # takes 0.2 s to import
+_silence_log = lazy("huggingface_hub.utils.logging:set_verbosity_error")
 
 
 def upload(
@@ -147,7 +147,7 @@ def download(
 
 def _quiet_client(*, is_all: bool) -> None:
     """Silence the log of the Hub's client, and with ``is_all`` its progress bars, too."""
-    logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
+    _silence_log()  # which imports the client: its import sets the level of its log
     if is_all:
         _disable_progress_bars()  # it draws them even if stderr is not a terminal
 

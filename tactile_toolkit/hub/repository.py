@@ -248,11 +248,14 @@ class HubRepository:
                 arrived[file.path] = size_bytes
                 on_bytes(total)
 
-        def fetch_one(file: HubFile) -> str:
-            local_path = self._fetch_checked(file, stage, partial(count, file))
-            if isinstance(folder, FsspecFolder):
-                folder.upload(file.path, local_path)
-                local_path.unlink()
+        def fetch_one(file: HubFile) -> str | BaseException:
+            try:
+                local_path = self._fetch_checked(file, stage, partial(count, file))
+                if isinstance(folder, FsspecFolder):
+                    folder.upload(file.path, local_path)
+                    local_path.unlink()
+            except BaseException as error:  # the pool would lose a SystemExit, and wait for the file forever
+                return error
             return file.path
 
         with contextlib.ExitStack() as stack:
@@ -266,9 +269,11 @@ class HubRepository:
             stack.callback(stopped.set)
             # Daemon threads; at exit, the interpreter waits for those of an executor.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
-                for path in pool.imap_unordered(fetch_one, files):
+                for result in pool.imap_unordered(fetch_one, files):
+                    if isinstance(result, BaseException):
+                        raise result
                     if isinstance(folder, LocalFolder):
-                        folder.move(f"{inside}/{path}", path)
+                        folder.move(f"{inside}/{result}", result)
 
     def _fetch_checked(self, file: HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""

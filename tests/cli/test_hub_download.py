@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from shutil import copytree
@@ -172,6 +173,16 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
     said = call(server, tmp_path, "tactile", "download", DIGITS, "--out", out)
     assert said.code == 2, "generated data were replaced by a download"
     assert "holds a data set of another origin" in said.err
+
+
+def test_the_log_of_the_client_is_silent(server, tmp_path):
+    """Its lines about each retry would come from threads, without a next step."""
+    server.faults.fail("*/test-00000*", 503, times=2)
+    words = ("-m", "tactile_toolkit", "download", DIGITS, "--out", str(tmp_path / "out"), "--yes")
+    done = subprocess.run(
+        [sys.executable, *words], env=settings(server, tmp_path), capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, "HTTP Error" in done.stderr) == (0, False)
 
 
 def test_waits_are_reported_while_the_download_is_planned(server, tmp_path):

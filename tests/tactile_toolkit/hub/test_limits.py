@@ -17,7 +17,7 @@ from tactile_toolkit.store import remote
 from tactile_toolkit.store.remote import ASKED_WAIT_S
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub import client
-from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script, two_sets
 
 resource = pytest.importorskip("resource")
@@ -143,3 +143,15 @@ def test_short_waits_that_the_hub_asks_for_end_together(server, tmp_path, monkey
     done = run_here(script(BIG, before=before), settings(server, tmp_path), tmp_path)
     assert json.loads(done.stdout.splitlines()[-1])[:2] == [4, "HubError"]
     assert slept == [50.0, 50.0]
+
+
+def test_an_exit_in_a_thread_ends_the_download(server, tmp_path):
+    """A closed pipe raises SystemExit where a message is written, also in a thread of a download."""
+    code = f"""
+from tactile_toolkit import hub
+repository = hub.open_repository({BIG!r})
+def closed(_):
+    raise SystemExit(141)
+repository.fetch([repository.file({SHARD!r})], on_bytes=closed)
+"""
+    assert run_python(code, settings(server, tmp_path), tmp_path).returncode == 141
