@@ -33,6 +33,11 @@ from tactile_toolkit import wording
 _ADDRESS = re.compile(
     r"(?:-[A-Za-z]|--[\w-]+=)?\s*(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://?(?P<rest>.*)", re.DOTALL
 )
+# An address of scp or rsync, USER:PASSWORD@HOST:PATH. A single letter is a drive of Windows.
+_COPY_ADDRESS = re.compile(
+    r"(?P<option>-[A-Za-z]|--[\w-]+=)?[^/\\@:\s]{2,}:[^/]*(?P<host>@[\w.-]+[:/].*)", re.DOTALL
+)
+_COPY_LOGIN = re.compile(r"(?<![^\s'\"<>=])[^\s'\"<>/@:]{2,}:[^\s'\"<>/@]+@(?=[\w.-]+[:/])")
 # Everything else may be a user, a key, a password, a signature or a parameter.
 _PLAIN = re.compile(r"[^/@?#;:%]*(?::[0-9]{1,5})?(?:/[^@?#;]*)?")
 _PLAIN_ON_HUB = re.compile(rf"datasets/[^/@?#;:]+/[^?#;:]*|{_PLAIN.pattern}")
@@ -212,7 +217,8 @@ def public_address(address: str) -> str:
     """
     match = _ADDRESS.fullmatch(address)
     if match is None:
-        return address
+        copied = _COPY_ADDRESS.fullmatch(address)
+        return address if copied is None else f"{copied['option'] or ''}...{copied['host']}"
     plain = _PLAIN_BY_SCHEME.get(match["scheme"].lower(), _PLAIN)
     if plain.fullmatch(match["rest"]):
         return address
@@ -225,4 +231,4 @@ def redact(text: str, *secrets: str | None) -> str:
         if secret and len(secret) >= _SHORTEST:
             text = text.replace(secret, "***")
     text = _HEADER.sub(r"\1***", _TOKEN.sub("***", text))
-    return _SIGNED.sub(r"\1?...", _LOGIN.sub(r"\1...@", text))
+    return _SIGNED.sub(r"\1?...", _COPY_LOGIN.sub("...@", _LOGIN.sub(r"\1...@", text)))

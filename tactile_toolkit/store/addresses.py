@@ -34,7 +34,7 @@ def normalize_uri(address: str) -> str:
 
     Raises InputError for an address that names no bucket, is of the web, or may hold a key or a signature.
     """
-    if ":/" not in address:  # a path, as most are
+    if ":" not in address:  # a path, as most are
         return address
     errors.require_public(address)
     match = _SCHEME.match(address)

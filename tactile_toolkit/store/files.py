@@ -174,7 +174,7 @@ def expanded(path: str | Path, what: str = "path") -> Path:
     absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home folder.
     """
     text, local = str(path), Path(path)
-    if ":/" in text:
+    if ":" in text:
         errors.require_public(text)
     if not str(local).startswith("~"):
         return local

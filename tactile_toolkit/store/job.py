@@ -162,9 +162,10 @@ class BuildPlan:
         try:
             text.encode()
         except UnicodeEncodeError as error:
-            excerpt = text[max(0, error.start - 20) : error.end + 20]
+            name = text[text.rfind('"', 0, error.start) : text.find('"', error.end) + 1]
             raise errors.InputError(
-                f"the specification holds {excerpt!r}, which is not Unicode text", next="give another name"
+                f"the name {name} is not valid UTF-8, so that no specification can hold it",
+                next="rename that file or folder",
             ) from error
         splits: dict[str, str] = {}
         for shard in (task.shard for task in self.tasks):

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.files import open_regular, unreadable
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest, ShardName, ShardRecord
@@ -173,6 +173,10 @@ def named_damage(address: str) -> Iterator[None]:
     except FileNotFoundError as error:
         raise IntegrityError(
             f"{address!r} is missing", next="generate or download the data set again"
+        ) from error
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"the name of {address!r} is not valid UTF-8, and Arrow opens no such file", next="rename it"
         ) from error
     except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
         refused = unreadable(address, error)

@@ -15,7 +15,7 @@ import pytest
 
 from realtouch.checks.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read import Shard, ShardedTable
 from tactile_toolkit.read.shard import BLOCKS, map_block, write_block
 from tactile_toolkit.store import ParquetStyle, encode_parquet, open_folder
@@ -229,6 +229,13 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / NAME)
     with pytest.raises(IntegrityError, match="is not a file"):
         _ = Shard(str(tmp_path / NAME)).metadata
+
+
+def test_a_name_that_is_not_utf_8_is_named(shard_file: Path, tmp_path: Path) -> None:
+    odd = shard_file.rename(tmp_path / f"{os.fsdecode(b'a-' + bytes([255]))}.parquet")
+    with pytest.raises(InputError, match="is not valid UTF-8") as caught:
+        _ = Shard(str(odd)).metadata
+    str(caught.value).encode()
 
 
 def test_a_file_that_may_not_be_read_is_not_called_damaged(shard_file, monkeypatch):
