@@ -339,8 +339,9 @@ class ImportColumns:
     Attributes
     ----------
     image : str or None
-        Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
-        a sample; for a replay buffer, its array of pixels.
+        Which pictures to import: the column of a table with their paths below the folder; the file extension
+        in WebDataset; the column of Parquet, camera of LeRobot, array of Zarr, or path in HDF5. Without it,
+        there must be only one.
     label : str or None
         Class: a number, or a name. Without such a column all touches have the label -1 and no class.
     round : str or None

@@ -341,12 +341,16 @@ def _groups(address: str, root: H5Object, kinds: dict[str, str], image: str) -> 
             for path in datasets
             if len(root[path].shape or ()) == _PICTURE_AXES or _is_of_bytes(root[path])
         ]
+        advice = (
+            "PATH, with the path below the group of each episode: obs/tactile for data/demo_0/obs/tactile"
+        )
+        if len(several) == 1:
+            advice = several[0]
         shown = ", ".join(sorted(several, key=wording.natural_key)[:_SHOWN])
         content = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
         raise errors.InputError(
             f"{address!r} has {content}; found {shown or 'none'}",
-            next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
-            "data/demo_0/obs/tactile",
+            next=f"add --map image={advice}",
         )
     return groups
 

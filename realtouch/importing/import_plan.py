@@ -76,8 +76,10 @@ def import_touches(
     ------
     InputError
         The source, its table, a column, an option, or every picture cannot be used.
-    IntegrityError, SpecMismatchError, StorageError
-        A tar is damaged; or as :func:`realtouch.clips_to_images`.
+    IntegrityError
+        A file of the source is damaged or incomplete, or was replaced while it was read.
+    SpecMismatchError, StorageError
+        As :func:`realtouch.clips_to_images`.
     """
     folder = store.open_folder(fspath(out))
     spec = spec or touch_options.ImportSpec()

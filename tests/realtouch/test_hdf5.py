@@ -210,7 +210,7 @@ def test_encoded_pictures_are_stored_unchanged(add: Any, tmp_path: Path) -> None
         file["observations/qpos"] = FORCE
     (found,) = recordings(source, "images/top")
     assert list(IMPORTS["hdf5"].contents(list(found.images()))) == JPEGS
-    with pytest.raises(InputError, match=r"found .*observations/images/top"):
+    with pytest.raises(InputError, match=r"next: add --map image=observations/images/top$"):
         recordings(source, "")
     columns = realtouch.ImportColumns(image="images/top")
     manifest = realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(columns=columns))
