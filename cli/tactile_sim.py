@@ -114,7 +114,7 @@ def _position_m(words: str) -> tuple[float, float] | None:
         x_mm, y_mm = map(float, words.split(","))
     except ValueError as error:
         raise InputError(
-            f"is {words!r}; expected x,y in millimetres, such as 10,20, or object", field="at"
+            f"is {words!r}; expected x,y in millimetres, such as 10,20, or object", field="at_mm"
         ) from error
     return x_mm / 1e3, y_mm / 1e3
 
@@ -123,9 +123,8 @@ def _position_m(words: str) -> tuple[float, float] | None:
 def render(
     *,
     file: Path = options.argument("FILE", "A mesh: STL, 3MF, PLY, OBJ or GLB.", read=Path),
-    at: tuple[float, float] | None = checked_fields.text(
+    at_mm: tuple[float, float] | None = checked_fields.text(
         (0.0, 0.0),
-        name="--at-mm",
         metavar="X,Y|object",
         shown="0,0",
         read=_position_m,
@@ -165,7 +164,7 @@ def render(
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
         sink.info(f"note: {file}: {note}")
-    preview = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
+    preview = tactile_sim.preview_touch(solid, spec, at_mm, math.radians(turn_deg))
     written.write({out.name: touch.encode_image(preview.picture, image_format, spec.quality)})
     _print_touch(sink, out, preview)
 

@@ -36,15 +36,16 @@ def finite_array(
 ) -> Float64:
     """Return finite numbers as an array of float64 of a shape, in which None is any length above 0.
 
-    InputError, which states what was ``expected``, for anything else, and for numbers beyond -most to most.
+    InputError, which begins with ``name`` and states what was ``expected``, for anything else, and for
+    numbers beyond -most to most.
     """
     array = real_array(value)
     if array is None or array.ndim != len(shape) or not _has_sides(array.shape, shape):
-        raise InputError(f"{name} is {shown(value)}; expected {expected}")
+        raise InputError(f"is {shown(value)}; expected {expected}", field=name)
     if not (np.abs(array) <= most).all() or not np.isfinite(array).all():
         wrong = array[~(np.isfinite(array) & (np.abs(array) <= most))].flat[0]
         limit = f", at most {most:g}" if math.isfinite(most) else ""
-        raise InputError(f"{name} is or holds {wrong:g}; expected {expected}, finite{limit}")
+        raise InputError(f"is or holds {wrong:g}; expected {expected}, finite{limit}", field=name)
     return array
 
 

@@ -180,7 +180,7 @@ def preview_touch(
     stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
     x_m = y_m = 0.0
     if at_m is not None:
-        x_m, y_m = finite_array(at_m, "at_m", (2,), "x and y, metres").tolist()
+        x_m, y_m = finite_array(at_m, "at_m", (2,), "x and y, metres", most=1.0).tolist()
     else:
         # A ring has no point in its middle.
         points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), keyed_rng("look"))
