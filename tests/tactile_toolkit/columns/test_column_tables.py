@@ -107,6 +107,7 @@ def test_parquet(tmp_path: Path) -> None:
     ("content", "ending", "words"),
     [
         ("a,a\n1,2\n", ".csv", "two columns 'a'"),
+        ("Fx\tt\t Fx\n1\t2\t3\n", ".tsv", "two columns 'Fx'"),
         ("a,b\n1,2,3\n", ".csv", "row 2, with the header as row 1, has 3 values; expected 2"),
         ("a,b\n\n1\n", ".csv", "row 2, with the header as row 1, has 1 value; expected 2"),
         (b"a\n\xff\xfe\n", ".csv", "is not text; next: save it as UTF-8 text"),
