@@ -100,7 +100,7 @@ def _print_preview(sink: output.Sink, preview: realtouch.ImportPreview, out: str
     counts = ", ".join(f"{split} {count:,}" for split, count in preview.splits.items())
     rounds = with_count(preview.rounds, "rounds")
     sink.line(f"would make {with_count(preview.touches, 'touches')} in {rounds} in {out}: {counts}")
-    sink.table(("column", "becomes", "unit"), preview.columns, title="columns of the source")
+    sink.table(("column", "becomes", "unit"), preview.columns, title="columns and other data of the source")
     names = dict.fromkeys(name for values in preview.first for name in values)
     rows = [(name, *(values.get(name, "") for values in preview.first)) for name in names]
     sink.table(("stored as", *(f"touch {number}" for number in range(len(preview.first)))), rows)

@@ -196,7 +196,9 @@ def _list_unread(home: store.DataFolder, layout: str, ledger: source_files.Ledge
     """Note the files of a source that were not read, each with the reason; many of one kind together."""
     by_reason: dict[tuple[str, str], list[str]] = {}
     for path in ledger.unread(home):
-        if _address(home.address(path)) in ledger.used:  # a table that was named through a link
+        if (
+            source_files.address_of(home.address(path)) in ledger.used
+        ):  # a table that was named through a link
             continue
         reason = recognition.reason_unread(path, layout)
         by_reason.setdefault((PurePosixPath(path).suffix, reason), []).append(wording.printable(path))
@@ -205,11 +207,6 @@ def _list_unread(home: store.DataFolder, layout: str, ledger: source_files.Ledge
         if len(paths) > _MAX_NAMED:
             names = [f"{len(paths):,} files *{ending}, such as {paths[0]}"]
         ledger.left_out.update(dict.fromkeys(f"{name} ({reason})" for name in names))
-
-
-def _address(path: str) -> str:
-    home, name = source_files.source_of(path)
-    return home.address(name)
 
 
 def _read_folders(

@@ -98,6 +98,12 @@ def source_of(path_or_address: str) -> tuple[store.DataFolder, str]:
     return store.split_uri(path_or_address if path is None else os.path.realpath(path))
 
 
+def address_of(path_or_address: str) -> str:
+    """Return the address of a file that the user named; the target of a link."""
+    home, name = source_of(path_or_address)
+    return home.address(name)
+
+
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
     """Return the names of visible files in a folder that have one of the endings; case does not matter."""
     return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]

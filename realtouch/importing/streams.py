@@ -204,7 +204,7 @@ class Aligner:
         self._named = [open_stream(*source_files.source_of(path), columns) for path in named]
         self.times = {stream.time_column for stream in self._named}
         self.tables = {stream.address for stream in self._named}
-        self._no_streams = {_address(path) for path in (*named, *no_streams)}
+        self._no_streams = {source_files.address_of(path) for path in (*named, *no_streams)}
         self._opened = cache(store.open_folder)
         self._beside = cache(self._tables_beside)
 
@@ -290,14 +290,13 @@ class Aligner:
         for stem, names in tables_by_stem(files.entries(folder)).items():
             paths = [f"{folder}/{name}".lstrip("/") for name in names]
             if self._no_streams:
-                paths = [path for path in paths if _address(files.address(path)) not in self._no_streams]
+                paths = [
+                    path
+                    for path in paths
+                    if source_files.address_of(files.address(path)) not in self._no_streams
+                ]
             by_stem[stem] = paths
         return by_stem
-
-
-def _address(path: str) -> str:
-    home, name = source_files.source_of(path)
-    return home.address(name)
 
 
 def with_streams(
