@@ -60,7 +60,7 @@ class _Command(TyperCommand):
             try:
                 return super().parse_args(ctx, args)
             except typer.BadParameter as error:
-                error.message = error.message.removeprefix("Value error, ")
+                error.message = error.message.removeprefix("Value error, ")  # of pydantic
                 raise
 
     def invoke(self, ctx: Any) -> object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import MISSING
+from dataclasses import MISSING, asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -75,12 +75,8 @@ def generate(
     if not run_options.dry_run:
         run.prepare_batch_process()
     touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(source_options.open_source, sink))
-    if touches.has_own_objects and source_options != options.SourceOptions():
-        raise InputError(
-            f"--revision, --config-name and --allow-incomplete are for data sets, and {objects!r} is "
-            "of mesh files",
-            next="leave them out",
-        )
+    if touches.has_own_objects:
+        options.refuse(asdict(source_options), "mesh files")
     require = partial(touches.refuse_sources, objects, out)
     runs.generate_set(sink, "rendering", touches, out, splits, run_options, require)
 

@@ -160,6 +160,7 @@ CASES = [
     ("tactile preview MESHES/block.stl --revision main", "--revision has no effect on a single file"),
     ("mnist3d validate MESHES/block.stl --split test", "--split has no effect on mesh files"),
     ("mnist3d validate MESHES/block.stl --revision main", "--revision has no effect on mesh files"),
+    ("PRESS --revision main", "--revision has no effect on mesh files; next: leave it out"),
     ("tactile verify DIGITS --split nosuch --content", "no split 'nosuch' in "),
     ("tactile info DIGITS --split nosuch", "no split 'nosuch' in "),
     ("tactile verify IMAGES --split nosuch", "no split 'nosuch' in "),
