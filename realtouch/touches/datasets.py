@@ -443,8 +443,8 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         sources = self.dataset.contact_sources()
         if not recalibrate_z and not all(source.heights for source in sources):
             raise errors.InputError(
-                f"{', '.join(self.dataset.description())}: heights do not decide about contact, but "
-                f"{'; or '.join(dict.fromkeys(map(str, sources)))}",
+                f"{', '.join(self.dataset.description())}: heights do not decide about contact; a touch has "
+                f"it if {'; or '.join(map(str, dict.fromkeys(sources)))}",
                 next="leave out recalibrate_z, or give a height if there are poses",
             )
         positions = self.round_positions

@@ -123,7 +123,7 @@ def summarise(dataset: datasets.AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_rule="; or ".join(dict.fromkeys(map(str, dataset.contact_sources()))),
+        contact_rule="; or ".join(map(str, dict.fromkeys(dataset.contact_sources()))),
         extra=_extra_types(dataset),
         image_size=first.round.picture_size(first.touch_index),
     )
