@@ -236,13 +236,10 @@ class AssetProvider:
         return default_set
 
     def _lock_of(self, name: str) -> Path:
-        """Return the file that is locked while splits of a kind are made; it is created."""
+        """Return the file that is locked while splits of a kind are made; its folder is created."""
         # The file is never removed: otherwise two processes could each lock a file of that name.
-        lock = self.root / f".{name}.lock"
-        with store.named_failures(str(lock)):
-            self.root.mkdir(parents=True, exist_ok=True)
-            lock.touch()
-        return lock
+        store.open_folder(str(self.root)).require_folder()
+        return self.root / f".{name}.lock"
 
     def touches(
         self, name: str | os.PathLike[str], split: str = "train"

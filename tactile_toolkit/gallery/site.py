@@ -29,7 +29,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Gallery, GalleryItem, RowsTask
 from tactile_toolkit.rows import Column
 from tactile_toolkit.store.addresses import local_folder_path
-from tactile_toolkit.store.files import DRAFT, draft_of, remove_drafts
+from tactile_toolkit.store.files import DRAFT, draft_of, named_failures, remove_drafts
 from tactile_toolkit.store.locks import LOCK_FILE
 
 PAGE_FILE = "index.html"
@@ -98,7 +98,7 @@ def build_site(
     is_replaced = (path / PAGE_FILE).exists()
     if dry_run:
         return Site(str(path), gallery.size, 0, 0, dict(gallery.splits), is_replaced)
-    with store.named_failures(str(path)), _unfinished_folder(path) as folder:
+    with named_failures(str(path)), _unfinished_folder(path) as folder:
         files = _Files(folder)
         files.write(_TEMPLATE_FILE, page(gallery.title))
         files.write("LICENSES.txt", asset("three-LICENSE.txt"))

@@ -28,7 +28,7 @@ from tactile_toolkit.mesh.mesh import (
     merge_equal_vertices,
     welded,
 )
-from tactile_toolkit.store.files import readable, write_file
+from tactile_toolkit.store.files import named_failures, readable, write_file
 
 # Readers of formats that state no unit.
 _PLAIN: dict[str, Callable[[bytes], Surface]] = {
@@ -255,7 +255,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     """
     path = Path(path)
     data = pack_mesh(Mesh.of(mesh), MeshFile(path).ending)
-    with store.named_failures(str(path)):
+    with named_failures(str(path)):
         path.parent.stat()  # a mistyped folder is refused, not created
         write_file(path, lambda stream: stream.write(data))
 

@@ -22,7 +22,7 @@ from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.run import runner_for
 from tactile_toolkit.store.addresses import local_folder_path
-from tactile_toolkit.store.files import remove_drafts, write_file
+from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
 from tactile_toolkit.store.folder import LocalFolder
 from tactile_toolkit.wording import class_name, with_count
 
@@ -254,13 +254,13 @@ def _write(path: Path, content: bytes) -> None:
         if Path(stream.name).read_bytes() != content:
             raise ItemError(CHANGED, "it reads back from disk with other bytes; the file was removed")
 
-    with store.named_failures(str(path)):
+    with named_failures(str(path)):
         write_file(path, write)
 
 
 def content_of(path: Path) -> bytes | None:
     """Return the content of a file, None if it does not exist; StorageError where it cannot be read."""
-    with store.named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
+    with named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
         return path.read_bytes()
     return None
 
@@ -305,5 +305,5 @@ def _exported(
 
 def _remove(paths: Iterable[Path]) -> None:
     for path in paths:
-        with store.named_failures(str(path)):
+        with named_failures(str(path)):
             path.unlink(missing_ok=True)

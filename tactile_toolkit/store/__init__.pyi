@@ -22,7 +22,6 @@ from .verification import (
 from .files import (
     expanded as expanded,
     is_hidden as is_hidden,
-    named_failures as named_failures,
     names_inside as names_inside,
     open_regular as open_regular,
     path_exists as path_exists,
