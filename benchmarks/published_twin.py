@@ -30,6 +30,8 @@ def main() -> None:
     parser.add_argument("--solids", default="mnist3d")
     options = parser.parse_args()
     place, out = places.open_place(options.name), options.out
+    if len(place.splits) < 2:
+        parser.error(f"{options.name!r} has one split; held-out touches need a second one")
     for folder, split in (("touches", place.splits[0]), ("held-out", place.splits[-1])):
         realtouch.select(place, str(out / folder), contact=True, split=split, limit=ROUNDS)
     recordings = tactile_sim.read_recordings(out / "touches", options.solids)

@@ -57,7 +57,7 @@ def column(mesh: Mesh, number: int) -> list[np.ndarray]:
         moved(press((0.0004, 0.0))) - moved(still),
         moved(press(twist_rad=0.07)) - moved(still),
     ]
-    image = make_optics("taxim").render(still.depth_m[None], sensor, sensor.size_px, is_surface=True)[0]
+    image = still.render(make_optics("taxim"), sensor, sensor.size_px)[0]
     pictures = [image, pressure_picture(still.contact.pressure_pa)]
     pictures += [flow_picture(rest.reshape(-1, 2), each.reshape(-1, 2), sensor.size_px) for each in flows]
     return [resized(each, SHOWN_PX, SHOWN_PX) for each in pictures]

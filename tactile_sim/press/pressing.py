@@ -16,7 +16,7 @@ from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.array_types import Float32, Float64, Int32
+from tactile_toolkit.array_types import Float32, Float64, Int32, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
@@ -45,6 +45,15 @@ class HasAsMatrix(Protocol):
 
     def as_matrix(self) -> ArrayLike:
         """Return rotation and translation, shape (4, 4) or (n, 4, 4), metres."""
+
+
+class Renderer(Protocol):
+    """Optics, such as :func:`tactile_sim.make_optics` returns."""
+
+    def render(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
+    ) -> UInt8:
+        """Return pictures (n, H, W, 3) of depth maps (n, h, w), metres."""
 
 
 PoseLike: TypeAlias = ArrayLike | HasMatrix | HasAsMatrix
@@ -164,6 +173,15 @@ class Pressed:
                 next="press with load=tactile_sim.GelLoad(force_n=5.0), or use the items of `contacts`",
             )
         return self.contacts[0]
+
+    def render(self, optics: Renderer, sensor: Sensor, size_px: tuple[int, int]) -> UInt8:
+        """Return the images of the touches, (n, H, W, 3), as optics show the gel that was pressed.
+
+        ``sensor`` is that of the press, ``size_px`` the width and height of the images. InputError if the
+        optics do not make such images.
+        """
+        depths_m = self.depth_m.reshape(-1, *self.depth_m.shape[-2:])
+        return optics.render(depths_m, sensor, size_px, is_surface=bool(self.contacts))
 
 
 def render_touch(

@@ -84,7 +84,7 @@ def press_round(
         pressed = render_touch(solid, poses, targets, shown, load=load)
         further["plate_z_m"] = bare_plate_z_m(press, shown)
         further |= elastic_values(press, pressed, load, shown, spec.size_px)
-    images = optics.render(pressed.depth_m, shown, spec.size_px, is_surface=press is not None)
+    images = pressed.render(optics, shown, spec.size_px)
     if press is not None and press.markers is not None and press.draw_markers:
         positions_px = markers_px(press.markers, pressed, shown, spec.size_px)
         images = np.stack([draw_markers(*pair) for pair in zip(images, positions_px, strict=True)])

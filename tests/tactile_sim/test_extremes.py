@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -52,6 +53,9 @@ MODEL = made_up_sensor()
 IMAGES = np.full((1, 48, 64, 3), 100, np.uint8)
 DEPTH_M = np.full((1, 24, 32), 0.003)
 PRESSABLE = tactile_sim.Pressable.of(ball(subdivisions=1))
+OPTICS = {
+    name: tactile_sim.make_optics(name) for name in ("depth", *(["taxim"] if find_spec("taxim") else []))
+}
 NOISE = tactile_sim.SensorNoise.white(0.01)
 RECORDINGS = {
     "images": np.full((2, 48, 64, 3), 100, np.uint8),
@@ -169,7 +173,7 @@ CALLS: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
             optics.render,
             {"depth_m": DEPTH_M, "sensor": SENSOR, "size_px": (32, 24), "is_surface": False},
         )
-        for name, optics in (("depth", tactile_sim.make_optics("depth")),)
+        for name, optics in OPTICS.items()
     },
     "twin render": (
         MODEL.optics.render,

@@ -371,7 +371,7 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
         load=tactile_sim.GelLoad(force_n=[1.0, 6.0], gel=press.gel),
     )
     assert pressed.depth_m.max() > model.sensor.gel_m  # it bulges beside the contact
-    images = model.optics.render(pressed.depth_m, model.sensor, (64, 48), is_surface=True).astype(float)
+    images = pressed.render(model.optics, model.sensor, (64, 48)).astype(float)
     twin, pitch_m = made_up_twin(), 2 * HALF_M / [64, 48]
     changed = []
     for depth_m, image in zip(pressed.depth_m, images, strict=True):
