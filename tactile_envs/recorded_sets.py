@@ -293,8 +293,8 @@ def _estimates_m(
     """Return the estimates of some touches, (k, h, w); those that are missing are made and kept."""
     content = touches.identity
     names = [_name(content, number, size_px) for number in numbers]
-    found = {name: depth_m for name in names if (depth_m := _kept(name, size_px)) is not None}
-    missing = [(name, number) for name, number in zip(names, numbers, strict=True) if name not in found]
+    estimates_m = {name: depth_m for name in names if (depth_m := _kept(name, size_px)) is not None}
+    missing = [(name, number) for name, number in zip(names, numbers, strict=True) if name not in estimates_m]
     if missing:
         estimator = _estimator()
     with progress.shown_progress(
@@ -304,10 +304,10 @@ def _estimates_m(
             batch = missing[first : first + _BATCH]
             images = touches.images([number for _, number in batch])
             for (name, _), depth_m in zip(batch, estimator.estimate_m(images, size_px), strict=True):
-                found[name] = depth_m
+                estimates_m[name] = depth_m
                 _keep(name, depth_m)
             show(first + len(batch), len(missing))
-    return np.stack([found[name] for name in names])
+    return np.stack([estimates_m[name] for name in names])
 
 
 def _name(content: str, number: int, size_px: tuple[int, int]) -> str:

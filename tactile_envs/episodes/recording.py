@@ -178,7 +178,9 @@ class EpisodeGenerator(generation.RowGenerator):
             for index in chosen:
                 if touched.is_observed[index]:
                     images[index].append(touch.encode_image(pixels[index], self.image_format, _QUALITY))
-        stacked = {name: np.stack([getattr(each, name) for each in touches], axis=1) for name in _OF_TOUCHES}
+        stacked = {
+            name: np.stack([getattr(touched, name) for touched in touches], axis=1) for name in _OF_TOUCHES
+        }
         done = {name: _actions(actions, name, len(touches)) for name in _OF_ACTIONS}
         suffix = touch.IMAGE_SUFFIX[self.image_format]
         for index in chosen:
@@ -219,8 +221,8 @@ def image_levels(images: AnyArray) -> UInt8:
 
 def _actions(actions: Sequence[Taken], name: str, count: int) -> AnyArray:
     """Return what was done after each of ``count`` touches, (n, count, ...); NaN where no action followed."""
-    values = np.stack([getattr(each, name) for each in actions], axis=1)
-    missing = ~np.stack([each.has_action for each in actions], axis=1)
+    values = np.stack([getattr(taken, name) for taken in actions], axis=1)
+    missing = ~np.stack([taken.has_action for taken in actions], axis=1)
     values[missing] = np.nan
     last = np.full((len(values), count - values.shape[1], *values.shape[2:]), np.nan, np.float32)
     return np.concatenate([values, last], axis=1)

@@ -116,8 +116,8 @@ class Report:
         try:
             stored = json.loads(file.read_bytes())
             metrics = {
-                name: Metric(Summary(**each["average"]), Summary(**each["final"]), each["by_step"])
-                for name, each in stored["metrics"].items()
+                name: Metric(Summary(**values["average"]), Summary(**values["final"]), values["by_step"])
+                for name, values in stored["metrics"].items()
             }
             return cls(stored["protocol"], stored["policy"], metrics, stored["run"])
         except (OSError, ValueError, KeyError, TypeError) as error:
