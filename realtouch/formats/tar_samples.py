@@ -109,6 +109,7 @@ def find_webdataset(
         if samples:
             yield _touches(folder, name, samples)
             known |= dict.fromkeys(field for sample in samples for field in sample.values)
+            ledger.left_out.update(dict.fromkeys(text for sample in samples for text in sample.unread))
     if known:
         source_files.require_columns(list(known), columns.found_in(known).names(), home.address())
 
@@ -189,13 +190,14 @@ def _is_image(ending: str) -> bool:
 
 
 class _Sample(NamedTuple):
-    """The files of one key: the image, its fields, the endings of all files, and the problems."""
+    """The files of one key: the image, its fields, the endings of all files, problems, files not read."""
 
     key: str
     image: _Member
     values: JsonObject
     endings: Collection[str]
     problems: Sequence[errors.ItemError]
+    unread: Sequence[str]
 
 
 def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportColumns) -> _Sample:
@@ -218,13 +220,19 @@ def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportC
             )
         )
     values: JsonDict = {}
+    unread: list[str] = []
     for member in members:
         if member.ending == "json":
             try:
                 values |= _fields(member.content)
             except errors.ItemError as error:
                 problems.append(error)
-        elif not _is_image(member.ending):
+        elif _is_image(member.ending):
+            if member not in images:
+                unread.append(f"*.{member.ending} (an image that was not chosen)")
+        elif member.size > len(member.content) or b"\0" in member.content:
+            unread.append(f"*.{member.ending} (not text of at most 1 MiB)")
+        else:
             values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
     # JSON may hold one half of a surrogate pair, which cannot be stored.
     texts = {name: value for name, value in values.items() if isinstance(value, str)}
@@ -234,7 +242,7 @@ def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportC
             problems.append(errors.ItemError("json", f"its field {name!r} holds text that is not Unicode"))
             values = {}
     endings = {member.ending for member in members}
-    return _Sample(key, next(iter(images), _NO_FILE), values, endings, problems)
+    return _Sample(key, next(iter(images), _NO_FILE), values, endings, problems, unread)
 
 
 def _fields(content: bytes) -> JsonDict:

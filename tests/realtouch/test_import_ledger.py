@@ -16,7 +16,7 @@ from realtouch.importing import import_plan, import_preview
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import intact_size, storable_image
 from tests.mutations import mutated
-from tests.realtouch.images_of_others import line, picture, write_table
+from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
 
@@ -108,6 +108,26 @@ def test_files_that_are_not_read_are_listed(tmp_path: Path) -> None:
     shown = realtouch.preview_import(home)
     assert {name for name, use, _ in shown.columns if use == "left out"} == expected
     assert shown.notes == ["the classes are the outermost folders, such as 'cup' of 'cup/0.jpg'"]
+
+
+def test_members_of_tars_that_are_not_read_are_listed(tmp_path: Path) -> None:
+    members = [
+        ("a.rgb.jpg", picture(1)),
+        ("a.depth.png", encoded("PNG")),
+        ("a.pose.npy", b"\x93NUMPY\0\1"),
+        ("a.cls", b"3"),
+        ("a.log", b"x" * (1 << 20) + b"x"),
+    ]
+    (tmp_path / "home").mkdir()
+    write_tar(tmp_path / "home" / "train-000000.tar", members)
+    columns = realtouch.ImportColumns(image="rgb.jpg", label="cls")
+    manifest = imported(tmp_path / "home", tmp_path / "out", columns=columns)
+    assert not manifest.skipped_reasons()
+    assert manifest.spec["left_out"] == [
+        "*.depth.png (an image that was not chosen)",
+        "*.pose.npy (not text of at most 1 MiB)",
+        "*.log (not text of at most 1 MiB)",
+    ]
 
 
 def test_pictures_that_no_table_names_are_listed(tmp_path: Path) -> None:
