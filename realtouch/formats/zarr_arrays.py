@@ -38,6 +38,7 @@ _DIRECTIONS = {"C": 1, "F": -1}
 _CHUNK_KEYS = {"default": ("c{}", "/"), "v2": ("", ".")}
 _MAX_CHUNKS = 1 << 18
 _SPARSE_VERSION = 3  # whose writers leave out chunks of the fill value
+_ATTRIBUTES = ".zattrs"
 _ARRANGING = ("bytes", "transpose")  # codecs of Zarr 3 that arrange the values of a chunk
 
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
@@ -178,7 +179,7 @@ LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
 
 
 def _is_chunk(path: str) -> bool:
-    return path.rpartition("/")[2] not in (*_METADATA.values(), ".zattrs")
+    return path.rpartition("/")[2] not in (*_METADATA.values(), _ATTRIBUTES)
 
 
 class ZarrGroup:
@@ -254,8 +255,9 @@ class ZarrGroup:
     def array(self, path: str, *, holds_pictures: bool = False) -> picture_arrays.StoredArray:
         """Return an array after a check of its metadata; InputError if it cannot be read.
 
-        Chunks that are not stored hold the fill value where programs leave them out: in arrays of Zarr 3, in
-        arrays without any chunk, and beside other chunks of the same pictures. Reading any other missing
+        Chunks that are not stored hold the fill value where programs leave them out: in arrays without any
+        chunk, beside other chunks of the same pictures, and in arrays of numbers that the package zarr 3
+        wrote, which are of Zarr 3 or have a file of attributes, even an empty one. Reading any other missing
         chunk raises IntegrityError.
         """
         version, stated = self._stated(path)
@@ -269,7 +271,9 @@ class ZarrGroup:
             raise self.refused(path, problem)
         cache.require_unpackable(layout.chunk_bytes, f"{address}: a chunk")
         is_sparse = not holds_pictures and (
-            version == _SPARSE_VERSION or not any(map(_is_chunk, self._files_of(path)))
+            version == _SPARSE_VERSION
+            or self.read(f"{path}/{_ATTRIBUTES}") is not None
+            or not any(map(_is_chunk, self._files_of(path)))
         )
         read = partial(self._block, path, layout, is_sparse, holds_pictures)
         size = partial(self._stored_bytes, path)

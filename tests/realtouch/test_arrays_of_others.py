@@ -327,9 +327,7 @@ def test_lossless_arrays_are_read_as_zarr_reads_them(version: Any, tmp_path: Pat
         dtype = ">u2" if option.get("order") == "F" or "serializer" in option else "u1"
         array = group.create_array("data/img", shape=frames.shape, chunks=(2, 5, 7, 3), dtype=dtype, **option)
         array[...] = frames
-        plain = group.create_array(
-            "data/force", shape=(6,), chunks=(2,) if version == 3 else (6,), dtype="f8"
-        )
+        plain = group.create_array("data/force", shape=(6,), chunks=(2,), dtype="f8")
         plain[...] = force
         group.create_array("meta/episode_ends", data=ENDS)
         found = imported(root, tmp_path / f"out-{number}").touches()

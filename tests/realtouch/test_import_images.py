@@ -88,8 +88,8 @@ def test_images_that_programs_show_differently(tmp_path: Path) -> None:
     Image.fromarray(np.full((24, 32), 3000, np.uint16)).save(tmp_path / "deep.png")
     Image.new("L", (32, 24), 7).save(tmp_path / "grey.png")
     Image.new("1", (20_000, 20_000)).save(tmp_path / "bomb.png")
-    upright.save(tmp_path / "other.gif")
-    names = ("turned.jpg", "deep.png", "bomb.png", "other.gif", "upright.jpg", "grey.png")
+    upright.save(tmp_path / "other.tga")
+    names = ("turned.jpg", "deep.png", "bomb.png", "other.tga", "upright.jpg", "grey.png")
     write_table(tmp_path, [{"file": f"./{name}", "label": 1} for name in names])
     manifest = realtouch.import_touches(tmp_path, tmp_path.parent / "seen", realtouch.ImportSpec("folder"))
     skipped = manifest.shards[0].skipped
