@@ -26,7 +26,7 @@ from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, re
 from tactile_toolkit import cache, store
 from tactile_toolkit.array_types import AnyArray, Int64, UInt8
 from tactile_toolkit.columns import known_formats
-from tactile_toolkit.errors import HubError, InputError, needs_extra
+from tactile_toolkit.errors import InputError, RemoteError, needs_extra
 from tactile_toolkit.wording import with_count
 
 SIDE_PX = 28
@@ -360,7 +360,7 @@ class MnistSource(SmallImages):
 def download_mnist(root: str) -> None:
     """Download the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
 
-    Raises MissingExtraError without torchvision, and HubError when the servers cannot be reached or send
+    Raises MissingExtraError without torchvision, and RemoteError when the servers cannot be reached or send
     damaged files, or the folder cannot be written.
     """
     if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
@@ -372,7 +372,7 @@ def download_mnist(root: str) -> None:
         with redirect_stdout(sys.stderr):
             MNIST(root, download=True)
     except (RuntimeError, HTTPException, EOFError, OSError) as error:
-        raise HubError(
+        raise RemoteError(
             f"MNIST could not be downloaded to {root} ({' '.join(str(error).split())}), expected its four "
             f"files from {list(MNIST.mirrors)}, and a folder with 70 MB of room",
             next="check network and folder and try again, or copy the files into the folder",

@@ -19,7 +19,7 @@ from mnist3d.ink.grey_levels import enlarge, fit
 from mnist3d.sources import DigitSource
 from mnist3d.sources.digit_arrays import MnistSource, download_mnist
 from mnist3d.sources.digit_source import NO_WRITER
-from tactile_toolkit.errors import HubError, ItemError, MissingExtraError
+from tactile_toolkit.errors import ItemError, MissingExtraError, RemoteError
 from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal
 from tests.real_input import SHARED, needs_shared
@@ -279,7 +279,7 @@ class TestDownload:
     def test_a_missing_file_is_named(self, tmp_path: Path, mirror: Path) -> None:
         (mirror / name_of("test", "labels", end=".gz")).unlink()
         root = tmp_path / "new"
-        with pytest.raises(HubError) as caught:
+        with pytest.raises(RemoteError) as caught:
             download_mnist(str(root))
         message = str(caught.value)
         assert message.startswith(f"MNIST could not be downloaded to {root} (Error downloading t10k-labels")
@@ -293,7 +293,7 @@ class TestDownload:
         path = mirror / name_of("train", "images", end=".gz")
         whole = path.read_bytes()
         path.write_bytes(whole[:-9])
-        with pytest.raises(HubError, match="File not found or corrupted"):
+        with pytest.raises(RemoteError, match="File not found or corrupted"):
             download_mnist(str(tmp_path / "new"))
         path.write_bytes(whole)
         download_mnist(str(tmp_path / "new"))
@@ -301,7 +301,7 @@ class TestDownload:
 
     def test_a_folder_that_cannot_be_made(self, tmp_path: Path, mirror: Path) -> None:
         (tmp_path / "file").touch()
-        with pytest.raises(HubError, match=r"to .*file \(.*Not a directory.* and a folder with 70 MB"):
+        with pytest.raises(RemoteError, match=r"to .*file \(.*Not a directory.* and a folder with 70 MB"):
             download_mnist(str(tmp_path / "file"))
         assert mirror.is_dir()
 
