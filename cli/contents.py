@@ -403,7 +403,7 @@ def print_faults(
     for path in drawings:
         sink.line(f"drawn: {path}")
     for fault in result.findings:
-        sink.warn(f"{fault.rule} in {fault.where}: {fault.found}; expected {fault.expected}")
+        sink.warn(f"{fault.rule} in {fault.splits}: {fault.found}; expected {fault.expected}")
         named = ", ".join(fault.touches)
         if len(fault.touches) < fault.count:
             named = f"{named}, ..."

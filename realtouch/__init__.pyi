@@ -25,7 +25,7 @@ from .convert.media_conversions import (
 )
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
-from .touches.damage import RecordingFinding as RecordingFinding
+from .checks.rules import RecordingFinding as RecordingFinding
 from .checks.checking import (
     check as check,
     CheckResult as CheckResult,

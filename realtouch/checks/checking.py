@@ -21,7 +21,6 @@ from realtouch.checks import rules, verification
 from realtouch.checks.sections import PlacedRow, RoundFacts, Section, check_section
 from realtouch.touch_options import CheckLimits
 from realtouch.touches import damage, datasets, loading, schema, stored_round
-from realtouch.touches.damage import MAX_NAMED, RecordingFinding
 from realtouch.touches.rounds import TouchSingleRound
 from tactile_toolkit import catalog, errors, pictures, places, read, run, wording
 from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
@@ -183,7 +182,7 @@ class CheckResult:
     rounds: int
     touches: int
     decoded: int
-    findings: tuple[RecordingFinding, ...]
+    findings: tuple[rules.RecordingFinding, ...]
     _faults: Mapping[str, Sequence[rules.Fault]] = field(repr=False)
     _files: Mapping[str, Sequence[read.Shard]] = field(repr=False)
 
@@ -211,7 +210,7 @@ def finding_of(
     faults: Sequence[rules.Fault],
     rounds: Mapping[rules.Spot, RoundFacts],
     limits: touch_options.CheckLimits,
-) -> RecordingFinding:
+) -> rules.RecordingFinding:
     """Return the finding of a rule in all splits."""
     splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
@@ -229,19 +228,21 @@ def finding_of(
     message = rules.RULES[rule]
     problem = message.found.format(value=max(fault.value for fault in faults))
     splits_text = " and ".join(splits)
-    return RecordingFinding(
+    return rules.RecordingFinding(
         rule,
         problem,
         message.expected.format(**asdict(limits)),
         splits_text,
-        tuple(names[:MAX_NAMED]),
+        tuple(names[: rules.MAX_NAMED]),
         total,
         message.next,
     )
 
 
 def _draw(
-    finding: RecordingFinding, faults: Sequence[rules.Fault], by_split: Mapping[str, datasets.AnyDataset]
+    finding: rules.RecordingFinding,
+    faults: Sequence[rules.Fault],
+    by_split: Mapping[str, datasets.AnyDataset],
 ) -> UInt8:
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []
@@ -259,7 +260,7 @@ def _draw(
     title = f"{rules.RULES[finding.rule].title}: {finding.found}"
     lines = (
         f"expected: {finding.expected}",
-        f"{finding.where}: {wording.with_count(finding.count, 'touches')}",
+        f"{finding.splits}: {wording.with_count(finding.count, 'touches')}",
     )
     return pictures.sheet(tiles, 4, title, lines)
 

@@ -16,6 +16,8 @@ from scipy import ndimage
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
 from tactile_toolkit.touch import decode_image
 
+MAX_NAMED = 20
+"""Touches that a finding names; it counts the others."""
 WHOLE_ROUND = -1
 """In place of the number of a touch: all touches of a round."""
 MAX_ONE_VALUE = 0.95
@@ -85,6 +87,36 @@ class FaultRule:
     title: str
     found: str
     expected: str
+    next: str
+
+
+@dataclass(frozen=True)
+class RecordingFinding:
+    """One fault of the recordings of a data set.
+
+    Attributes
+    ----------
+    rule : str
+        Name of the rule, for example ``frozen-frames``.
+    found, expected : str
+        The value found and the threshold, each with its unit.
+    splits : str
+        The splits concerned.
+    touches : tuple of str
+        The touches concerned, at most the first 20, as ``ROUND:TOUCH``, or ``ROUND:0-255`` for all of a
+        round; with the split before it if there are several.
+    count : int
+        Number of all touches concerned.
+    next : str
+        A sentence with the next step.
+    """
+
+    rule: str
+    found: str
+    expected: str
+    splits: str
+    touches: tuple[str, ...]
+    count: int
     next: str
 
 

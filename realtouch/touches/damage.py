@@ -1,4 +1,4 @@
-"""Damage of stored touches, and findings of checks of recordings."""
+"""Damage of stored touches."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from tactile_toolkit import errors, read
 
 _NEXT = "run `tactile verify` to list everything that is wrong, then download or convert again"
 _FIELD = re.compile(r"field '([^']+)': (.*)")
-
-MAX_NAMED = 20
-"""Touches that a finding names; it counts the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,33 +76,3 @@ def _cause(path: str, error: errors.ToolkitError) -> str:
     """Return the message of an error without file and next step, which a list states once."""
     words = " ".join(error.what.split())
     return words.removeprefix(repr(path)).lstrip(",: ")
-
-
-@dataclass(frozen=True)
-class RecordingFinding:
-    """One fault of a recording.
-
-    Attributes
-    ----------
-    rule : str
-        Name of the rule, for example ``frozen-frames``.
-    found, expected : str
-        The value found and the threshold, each with its unit.
-    where : str
-        Split, round or file concerned.
-    touches : tuple of str
-        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``, or ``12:0-255`` for all) in
-        data sets, and as a path in other formats.
-    count : int
-        Number of all touches concerned.
-    next : str
-        A sentence with the next step.
-    """
-
-    rule: str
-    found: str
-    expected: str
-    where: str
-    touches: tuple[str, ...] = ()
-    count: int = 0
-    next: str = ""
