@@ -341,7 +341,7 @@ class SceneRecord(pictures.DrawnSolid):
     @property
     def legend(self) -> str:
         """Meaning of the colours of a picture."""
-        return "stars are orange" if self.has_placements else "it is not stored which objects are stars"
+        return "stars are yellow" if self.has_placements else "it is not stored which objects are stars"
 
     @property
     def cell_m(self) -> tuple[float, float]:

@@ -40,7 +40,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     (planned,) = KIND.plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet",))).pictures
     pixels = planned.draw().astype(int)
     assert pixels.std() > 10
-    assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # only stars are orange
+    assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # only stars are yellow
 
 
 @pytest.mark.thorough
