@@ -11,6 +11,7 @@ from typing import Any
 import typer
 
 from cli import application, options, output, runs
+from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
@@ -127,17 +128,21 @@ def evaluate(
     assets: str | None = _ASSETS,
     out: Path = options.local_out_folder("report"),
     workers: int = options.WORKERS,
+    overwrite: bool = options.OVERWRITE,
     sink: output.Sink,
 ) -> None:
     """Report every metric of a policy, with 95 % intervals over objects: report.json, report.md, report.png.
 
     Example: tactile-envs evaluate TactileMNIST-Depth-test-v0 --policy constant --out constant
     """
+    from tactile_envs.episodes.reports import REPORT_FILES  # numpy
+
+    written = store.open_output(out, REPORT_FILES, overwrite=overwrite)
     with sink.progress("playing episodes", "groups") as update:
         spec = _episode_spec(env_id, episodes, num_envs, assets=assets)
         count = options.process_count(workers)
         report = _evaluate(spec, policy, seeds=seeds, workers=count, on_progress=update)
-    report.write(out)
+    written.write(report.contents())
     _print_reports(sink, {str(report.policy["name"]): report})
     sink.line(f"written to {out}; next: tactile-envs compare {out} OTHER")
 
@@ -154,16 +159,18 @@ def compare(
     out: Path | None = text(
         name="--out -o", metavar="PNG", read=options.parse_local_path, help="Picture of the curves."
     ),
+    overwrite: bool = options.OVERWRITE,
     sink: output.Sink,
 ) -> None:
     """Compare reports of one protocol in a table, and draw their curves.
 
     Example: tactile-envs compare random constant --out curves.png
     """
+    written = None if out is None else store.open_output(out, overwrite=overwrite)
     held = {path.name: _read_report(path) for path in reports}
     _print_reports(sink, held)
-    if out is not None:
-        _draw_curves(held, out)
+    if out is not None and written is not None:
+        written.write({out.name: _draw_curves(held)})
         sink.line(f"the curves are in {out}")
 
 

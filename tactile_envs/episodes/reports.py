@@ -6,6 +6,7 @@ seeds. An interval is that of other objects: it holds 95 % of the means of objec
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import platform
@@ -21,7 +22,7 @@ import numpy as np
 from tactile_envs.episodes import policies
 from tactile_envs.episodes.playing import EpisodeSpec, episodes_of
 from tactile_envs.episodes.policies import Policy
-from tactile_toolkit import cards, checked_fields, errors, run, wording
+from tactile_toolkit import cards, checked_fields, errors, run, store, wording
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
@@ -29,7 +30,8 @@ from tactile_toolkit.json_types import JsonObject
 _RESAMPLED = 2000
 _INTERVAL = (2.5, 97.5)
 _LIBRARIES = ("tactile-toolkit", "ap-gym", "gymnasium", "numpy", "scipy", "numba")
-REPORT_FILE = "report.json"
+REPORT_FILES = ("report.json", "report.md", "report.png")
+"""Files of a report."""
 
 Curves = tuple[Int64, dict[str, Float64]]
 """Object of each episode (n,), and each metric at all of its steps (n, T)."""
@@ -74,20 +76,19 @@ class Report:
     metrics: Mapping[str, Metric]
     run: JsonObject
 
-    def write(self, out: str | os.PathLike[str]) -> None:
-        """Write ``report.json``, ``report.md`` and ``report.png`` into a new folder.
+    def contents(self) -> dict[str, bytes]:
+        """Return the files of a report by name: JSON, Markdown and the curves; needs matplotlib."""
+        json_text = wording.printable_json(asdict(self))
+        texts = {REPORT_FILES[0]: json_text, REPORT_FILES[1]: self.markdown()}
+        files = {name: text.encode() for name, text in texts.items()}
+        return files | {REPORT_FILES[2]: draw_curves({str(self.policy["name"]): self})}
 
-        Raises InputError if the folder holds something; MissingExtraError without matplotlib.
+    def write(self, out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write ``report.json``, ``report.md`` and ``report.png`` into a folder.
+
+        Raises InputError if one exists and `overwrite` is False; MissingExtraError without matplotlib.
         """
-        with errors.needs_extra("the picture of a report", "matplotlib", "pictures"):
-            pass  # before anything is written
-        folder = Path(out)
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{str(folder)!r} exists", next="name a new folder", field="out")
-        folder.mkdir(parents=True, exist_ok=True)
-        draw_curves({str(self.policy["name"]): self}, folder / "report.png")
-        (folder / "report.md").write_text(self.markdown(), encoding="utf-8")
-        (folder / REPORT_FILE).write_text(wording.printable_json(asdict(self)), encoding="utf-8")
+        store.open_output(Path(out), REPORT_FILES, overwrite=overwrite).write(self.contents())
 
     def markdown(self) -> str:
         """Return the figures and what decided them as Markdown."""
@@ -112,7 +113,7 @@ class Report:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Report:
         """Read the report of a folder; InputError if there is none, or it is damaged."""
-        file = Path(path) / REPORT_FILE
+        file = Path(path) / REPORT_FILES[0]
         try:
             stored = json.loads(file.read_bytes())
             metrics = {
@@ -258,8 +259,8 @@ def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
     ]
 
 
-def draw_curves(reports: Mapping[str, Report], path: str | os.PathLike[str]) -> None:
-    """Draw each metric of some reports by step, as PNG; MissingExtraError without matplotlib."""
+def draw_curves(reports: Mapping[str, Report]) -> bytes:
+    """Draw each metric of some reports by step and return the PNG; MissingExtraError without matplotlib."""
     with errors.needs_extra("the picture of a report", "matplotlib", "pictures"):
         from matplotlib.figure import Figure
     metrics = next(iter(reports.values())).metrics
@@ -270,7 +271,9 @@ def draw_curves(reports: Mapping[str, Report], path: str | os.PathLike[str]) -> 
             axes.plot(range(1, len(curve) + 1), curve, label=name)
         axes.set(xlabel="step", ylabel=metric.replace("_", " "))
         axes.legend(frameon=False)
-    figure.savefig(path, dpi=150)
+    stream = io.BytesIO()
+    figure.savefig(stream, dpi=150)
+    return stream.getvalue()
 
 
 def _text(summary: Summary) -> str:
