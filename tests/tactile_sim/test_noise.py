@@ -173,7 +173,7 @@ def test_invalid_noise_is_refused(tmp_path):
         ("{", "cannot be read"),
         ("[" * 100_000, "cannot be read"),
         ("[]", "cannot be read .*array"),
-        ('{"gain": 1}', "cannot be read .*'gain'.* expected a JSON object with frame_noise_std"),
+        ('{"gain": 1}', "cannot be read .*it has gain.* expected a JSON object with frame_noise_std"),
     ):
         file.write_text(text)
         with pytest.raises(InputError, match=message):
