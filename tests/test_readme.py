@@ -36,6 +36,8 @@ PAGES = (
     "docs/elastic.md",
     "docs/howto/libraries.md",
     "docs/howto/environments.md",
+    "docs/howto/policies.md",
+    "docs/howto/own_task.md",
     "docs/howto/train_agent.md",
     "docs/howto/simulators.md",
     "docs/howto/hub.md",
