@@ -34,6 +34,8 @@ _EXCHANGED = (
     "lerobot/meta/*",
     "lerobot/meta/*/*/*.parquet",
     "fota/*/data-*.tar",
+    "minari/*/*/data/main_data.hdf5",
+    "minari/*/*/data/metadata.json",
     "fota/*/count.txt",
     "anytouch/*_bg.txt",
     "oxt/touches.zarr.zip",

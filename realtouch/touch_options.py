@@ -29,7 +29,18 @@ IMPORT_LAYOUTS = (
 )
 """Formats of recordings, each a module of ``realtouch.formats``."""
 
-EXPORT_FORMATS = ("png", "jpeg", "flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch")
+EXPORT_FORMATS = (
+    "png",
+    "jpeg",
+    "flat",
+    "webdataset",
+    "lerobot",
+    "minari",
+    "oxt",
+    "replay",
+    "fota",
+    "anytouch",
+)
 """Formats of exported touches: pictures, and files of other libraries."""
 
 FRAME = partial(

@@ -25,13 +25,14 @@ from tactile_toolkit import catalog, errors, kind, places, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.touch import MEDIA_TYPE, ImageFormat, intact_size
 
-ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
+ExportLayout = Literal["flat", "webdataset", "lerobot", "minari", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
     layout: kind.lazy(f"realtouch.formats.{module}:plan_{layout}")
     for layout, module in {
         "flat": "flat_parquet",
         "webdataset": "tar_samples",
         "lerobot": "lerobot_export",
+        "minari": "minari_export",
         "oxt": "zarr_export",
         "replay": "zarr_export",
         "fota": "tar_samples",
@@ -87,9 +88,10 @@ def export(
         ``"flat"``: Parquet with a row for each touch, for `datasets`, pandas and polars. ``"webdataset"``:
         the same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images,
-        with depth maps if there are some; it holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of
-        FTP-1, with the same frames as pixels. ``"replay"``: the same frames as pixels in the Zarr group that
-        Diffusion Policy reads; they need much space. ``"fota"``: the tars of T3, with poses in mm.
+        with depth maps if there are some; it holds one split. ``"minari"``: recorded episodes
+        (:func:`tactile_envs.record`) for offline reinforcement learning. ``"oxt"``: Open-X-Tactile, the Zarr
+        of FTP-1, with the same frames as pixels. ``"replay"``: the same frames as pixels in the Zarr group
+        that Diffusion Policy reads; they need much space. ``"fota"``: the tars of T3, with poses in mm.
         ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
         Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"``,

@@ -190,7 +190,8 @@ class GroupFormat:
     ) -> tuple[dict[str, AnyArray], dict[str, object]]:
         """Return all arrays except the pictures, and the attributes of ``meta``, which describe them."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
-        known = {name: array for name, array in self.arrays.items() if name in columns}
+        further = {extra.name for extra in step.extras}  # the action of a policy, too
+        known = {name: array for name, array in self.arrays.items() if name in columns.keys() - further}
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
         of_clips = []
         for extra in step.extras:

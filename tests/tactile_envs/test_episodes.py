@@ -279,6 +279,40 @@ def test_an_export_for_lerobot_has_the_actions_of_the_policy(tmp_path, assets):
     assert frames["observation.images.tactile"][16 + 3].as_py()["bytes"] == bytes(stored)
 
 
+def test_minari_reads_its_own_dataset(tmp_path, assets, monkeypatch):
+    minari = pytest.importorskip("minari", reason="needs the package minari")
+    _record(tmp_path / "set", assets)
+    realtouch.export(tmp_path / "set", tmp_path / "out", "minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "out" / "minari"))
+    episodes = minari.load_dataset("tactile/test-v0")
+    rounds = realtouch.load(tmp_path / "set")
+    assert (episodes.total_episodes, episodes.total_steps) == (7, 7 * 16)
+    for held, episode in zip(rounds, episodes, strict=True):
+        images = held.sensor_image.batch()[..., 0]
+        np.testing.assert_array_equal(episode.observations["sensor_img"], images)
+        for name in ("action", "prediction"):
+            np.testing.assert_array_equal(episode.actions[name], held.extra[name][:-1])
+        np.testing.assert_array_equal(episode.rewards, held.extra["reward"][:-1])
+        np.testing.assert_array_equal(episode.infos["target"], held.extra["target"])
+        np.testing.assert_array_equal(
+            episode.observations["gel_pose"][:, :3], held.gel_pose_cell_frame.position_m
+        )
+        assert episode.terminations.tolist() == [False] * 15 + [True]
+        assert not episode.truncations.any()
+        for number in (0, 16):
+            observation = {name: values[number] for name, values in episode.observations.items()}
+            assert episodes.observation_space.contains(observation)
+        assert episodes.action_space.contains({name: values[3] for name, values in episode.actions.items()})
+    assert len(episodes.filter_episodes(lambda episode: episode.rewards[0] < -1)) < 7
+    assert [len(part) for part in minari.split_dataset(episodes, [4, 3])] == [4, 3]
+    again = tmp_path / "again"
+    realtouch.export(tmp_path / "set", again, "minari")
+    for path in (again / "minari").rglob("*.*"):
+        assert path.read_bytes() == (tmp_path / "out" / path.relative_to(again)).read_bytes()
+    with pytest.raises(InputError, match="Minari datasets hold episodes of a policy"):
+        realtouch.export(assets / "real-single", tmp_path / "never", "minari")
+
+
 class HalfHeight(tasks.Regression):
     """Half of the height of an object."""
 
