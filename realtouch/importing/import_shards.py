@@ -28,7 +28,7 @@ from tactile_toolkit.touch import (
     decode_image,
     intact_size,
     is_jpeg,
-    storable_image,
+    storable_images,
     with_features,
 )
 
@@ -146,7 +146,7 @@ class ImportTouches:
         frames = touches.listing["frames"].to_pylist()
         contents = self._contents(touches)
         for index in np.flatnonzero(touches.is_usable).tolist():
-            pictures = [_storable(picture, Counter()) for picture in islice(contents, max(1, frames[index]))]
+            pictures = storable_images(islice(contents, max(1, frames[index])), Counter())
             try:
                 self._size(pictures, is_clip=frames[index] > 0)
             except errors.ItemError as error:
@@ -219,7 +219,7 @@ class ImportTouches:
             pictures = list(islice(contents, max(1, frames[index])))
             _add_contents(digest, pictures)
             try:
-                pictures = [_storable(picture, converted) for picture in pictures]
+                pictures = storable_images(pictures, converted)
                 size = self._size(pictures, is_clip=frames[index] > 0)
                 if numbers[index] in values.problems:
                     raise values.problems[numbers[index]]
@@ -261,19 +261,6 @@ class ImportTouches:
             prefix = f"picture {number}: " if is_clip else ""
             raise errors.ItemError(problem.reason, f"{prefix}{problem.message}") from problem
         return common or (0, 0)
-
-
-def _storable(content: bytes | errors.ItemError, converted: Counter[str]) -> bytes | errors.ItemError:
-    """Return a picture in a format of data sets, or its problem; count conversions."""
-    if isinstance(content, errors.ItemError):
-        return content
-    try:
-        content, format_name = storable_image(content)
-    except ValueError as error:
-        return errors.ItemError("image", str(error))
-    if format_name:
-        converted[f"{format_name} stored as PNG, without loss"] += 1
-    return content
 
 
 def _pieces(touches: source_touches.SourceTouches) -> Iterator[Int64]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import io
 import re
 import struct
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ from PIL import Image, UnidentifiedImageError
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, UInt8
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.read import schemas
 
@@ -161,6 +163,26 @@ def storable_image(data: bytes) -> tuple[bytes, str]:
     except Exception as error:
         raise _undecodable(data) from error
     raise ValueError(problem)
+
+
+def storable_images(
+    contents: Iterable[bytes | ItemError], conversions: Counter[str]
+) -> list[bytes | ItemError]:
+    """Return images in a format of data sets, or their problems; count conversions by their words."""
+    images: list[bytes | ItemError] = []
+    for content in contents:
+        if isinstance(content, ItemError):
+            images.append(content)
+            continue
+        try:
+            image, format_name = storable_image(content)
+        except ValueError as error:
+            images.append(ItemError("image", str(error)))
+            continue
+        if format_name:
+            conversions[f"{format_name} stored as PNG, without loss"] += 1
+        images.append(image)
+    return images
 
 
 def _problem_of_conversion(image: Image.Image) -> str:
