@@ -1,10 +1,10 @@
-"""How fast presses, slides and twists of an elastic gel are solved: against plain SciPy in double precision.
+"""Speed of the solver for presses, slides and twists of an elastic gel, against plain SciPy.
 
 Usage: python benchmarks/elastic.py [--touches 30]
 
-Touches of digits in random order at 5 N. The other way is the same contact by SciPy's transforms in double
-precision, depth by depth, with a secant on the force (tests/tactile_sim/elastic_reference.py). One thread,
-everything warm, processor time.
+Touches of digits in random order at 5 N. The reference solves the same contact by SciPy's transforms in
+double precision (tests/tactile_sim/elastic_reference.py) and finds the depth for 5 N by the secant method.
+Processor time of one thread, after a first run that is not measured.
 """
 
 from __future__ import annotations
@@ -33,10 +33,8 @@ from tactile_sim.elastic import layer
 from tests.tactile_sim.elastic_reference import PlainSolver
 
 FORCE_N, ROUNDS, DIGITS = 5.0, 5, 10
-SMALL, LARGE = (
-    (86, 64),
-    (320, 240),
-)  # the whole gel, whose middle an image of 64 x 64 shows; and that of a camera
+SMALL = (86, 64)  # pixels of the whole gel, whose middle an image of 64 x 64 shows
+LARGE = (320, 240)  # pixels of the camera
 BLOCK_PX = 4  # of the large image
 FREE, ROUGH = tactile_sim.Gel(friction=0.0), tactile_sim.Gel()
 MOTION = {"slide_m": (3e-4, 0.0), "twist_rad": 0.03}
@@ -49,13 +47,13 @@ def main() -> None:
     count = parser.parse_args().touches
     heights, pixels = touches_of(SMALL, count), pixels_of(SMALL)
     plain = PlainSolver(SMALL[::-1], pixels, FREE, tactile_sim.full_view().gel_m)
-    other_s = timed(lambda height_m: secant(plain, height_m), heights, 1)
+    reference_s = timed(lambda height_m: secant(plain, height_m), heights, 1)
 
     def solved(gel: tactile_sim.Gel, **motion: object) -> Callable[[np.ndarray], tactile_sim.ElasticContact]:
         return lambda height_m: solve(height_m, pixels, tactile_sim.GelLoad(FORCE_N, gel=gel, **motion))
 
     what = "86 x 64 pixels, 5 N"
-    tell("press", f"{what}, without friction", timed(solved(FREE), heights), "s", other=other_s)
+    tell("press", f"{what}, without friction", timed(solved(FREE), heights), "s", other=reference_s)
     tell("press_rough", f"{what}, friction 0.5", timed(solved(ROUGH), heights), "s", target="at most 0.005")
     tell(
         "slide",
@@ -93,59 +91,61 @@ def touches_of(size_px: tuple[int, int], count: int) -> list[np.ndarray]:
         tactile_sim.Pressable.of(mnist3d.solidify(source.image(100 + 37 * number).pixels))
         for number in range(DIGITS)
     ]
-    found: list[np.ndarray] = []
-    while len(found) < count:
+    heights: list[np.ndarray] = []
+    while len(heights) < count:
         solid = solids[rng.integers(DIGITS)]
-        lies, stands = tactile_sim.pose(z_m=-solid.foot_m), tactile_sim.pose(*rng.uniform(-0.03, 0.03, 2))
-        pressed = tactile_sim.render_touch(solid, lies, stands, tactile_sim.full_view(*size_px))
+        object_pose = tactile_sim.pose(z_m=-solid.foot_m)
+        sensor_pose = tactile_sim.pose(*rng.uniform(-0.03, 0.03, 2))
+        pressed = tactile_sim.render_touch(solid, object_pose, sensor_pose, tactile_sim.full_view(*size_px))
         if pressed.sensor_z_m > 0.005:
-            found.append(pressed.sensor_z_m - pressed.depth_m)
-    return found
+            heights.append(pressed.sensor_z_m - pressed.depth_m)
+    return heights
 
 
 def solve(
     height_m: np.ndarray, pixels: tuple[float, float], load: tactile_sim.GelLoad, block_px: int = 1
 ) -> object:
-    """Press the gel of a GelSight Mini."""
+    """Return the contact of the gel of a GelSight Mini with heights under it."""
     thickness_m = tactile_sim.full_view().gel_m
     return tactile_sim.solve_contact(height_m, pixels, load, thickness_m=thickness_m, block_px=block_px)
 
 
 def secant(plain: PlainSolver, height_m: np.ndarray) -> float:
-    """Find the depth of 5 N to 0.1 %, by solutions at depths."""
+    """Return the depth, metres, at which the force is 5 N within 0.1 %, by the secant method."""
     below = height_m.max() - height_m[::-1]
 
     def force_n(depth_m: float) -> float:
         return float(plain.press(below, depth_m, False, None, 1e-3)[0].sum() * plain.area_m2)
 
-    one, two = 5e-4, 1e-3
-    first, second = force_n(one) - FORCE_N, force_n(two) - FORCE_N
-    while abs(second) > 1e-3 * FORCE_N:
-        one, two = two, max(two - second * (two - one) / (second - first), 0.3 * two)
-        first, second = second, force_n(two) - FORCE_N
-    return two
+    last_m, depth_m = 5e-4, 1e-3
+    last_n, excess_n = force_n(last_m) - FORCE_N, force_n(depth_m) - FORCE_N
+    while abs(excess_n) > 1e-3 * FORCE_N:
+        step_m = excess_n * (depth_m - last_m) / (excess_n - last_n)
+        last_m, depth_m = depth_m, max(depth_m - step_m, 0.3 * depth_m)
+        last_n, excess_n = excess_n, force_n(depth_m) - FORCE_N
+    return depth_m
 
 
-def timed(work: Callable[[np.ndarray], object], heights: list[np.ndarray], rounds: int = ROUNDS) -> float:
+def timed(action: Callable[[np.ndarray], object], heights: list[np.ndarray], rounds: int = ROUNDS) -> float:
     """Return the median over rounds of the mean processor time of a touch, seconds."""
-    work(heights[0])
+    action(heights[0])
     times = []
     for _ in range(rounds):
         start = time.process_time()
         for height_m in heights:
-            work(height_m)
+            action(height_m)
         times.append((time.process_time() - start) / len(heights))
     return statistics.median(times)
 
 
 def error_um(plain: PlainSolver, heights: list[np.ndarray], pixels: tuple[float, float]) -> float:
     """Return the mean distance from surfaces in double precision, micrometres."""
-    far = []
+    distances_m = []
     for height_m in heights:
         exact = plain.solve(height_m[::-1], FORCE_N)
         ours = solve(height_m, pixels, tactile_sim.GelLoad(FORCE_N, gel=FREE))
-        far.append(np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean())
-    return 1e6 * float(np.mean(far))
+        distances_m.append(np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean())
+    return 1e6 * float(np.mean(distances_m))
 
 
 def kernel_s(pixels: tuple[float, float]) -> float:

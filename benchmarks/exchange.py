@@ -1,8 +1,8 @@
-"""How fast touches become the formats of others, and images of others touches; in processor time of one core.
+"""Speed of exports to other formats and of imports from them, in processor time of one core.
 
-The plain way is measured in the same run, in turn. Of an export: rows read with pyarrow, each image written
-as a file of its own as it is stored. Of an import: each image opened and verified with Pillow, with what a
-table or JSON says of it, and all written with pyarrow as one Parquet file.
+A plain script is measured in the same run, in turn. For an export, it reads rows with pyarrow and writes each
+image as a file, as it is stored. For an import, it verifies each image with Pillow, reads its values from a
+table or JSON, and writes all with pyarrow as one Parquet file.
 
     python benchmarks/exchange.py [--rounds 100]
 """
@@ -31,19 +31,19 @@ TOUCHES = 256
 BY_HAND_ROUNDS = 4
 TURNS = 3
 
-Work = tuple[Callable[[Path], Any], int]
-"""What is measured, and how many touches it takes."""
+Job = tuple[Callable[[Path], Any], int]
+"""A function that is measured, and the number of its touches."""
 
 
-def per_second(works: Iterable[Work], home: Path) -> list[float]:
+def per_second(jobs: Iterable[Job], home: Path) -> list[float]:
     """Return touches per second of processor time, the median of three runs in turn."""
-    rates: list[list[float]] = [[] for _ in works]
+    rates: list[list[float]] = [[] for _ in jobs]
     for _ in range(TURNS):
-        for (work, touches), found in zip(works, rates, strict=True):
+        for (run, touches), job_rates in zip(jobs, rates, strict=True):
             with tempfile.TemporaryDirectory(dir=home) as folder:
                 start_s = time.process_time()
-                work(Path(folder))
-                found.append(touches / (time.process_time() - start_s))
+                run(Path(folder))
+                job_rates.append(touches / (time.process_time() - start_s))
     return list(map(statistics.median, rates))
 
 
@@ -63,7 +63,7 @@ def export_by_hand(source: Path, out: Path) -> None:
 
 
 def in_table(source: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
-    """Yield the images of a folder, and what its table says of them."""
+    """Yield the images of a folder, each with its row of the table."""
     with (source / "index.csv").open(newline="") as stream:
         for line in csv.DictReader(stream):
             yield (source / line["file"]).read_bytes(), line
@@ -94,23 +94,23 @@ def import_by_hand(samples: Callable[[], Iterator[tuple[bytes, dict[str, Any]]]]
     rows: dict[str, list[Any]] = {
         name: [] for name in ("round", "label", "object_id", "width", "height", "image", *numbers)
     }
-    for content, said in samples():
+    for content, fields in samples():
         with Image.open(io.BytesIO(content)) as image:
             width, height = image.size
             image.verify()
-        rows["round"].append(said["round_id"])
-        rows["label"].append(int(said["label"]))
-        rows["object_id"].append(int(said["object_id"]))
+        rows["round"].append(fields["round_id"])
+        rows["label"].append(int(fields["label"]))
+        rows["object_id"].append(int(fields["object_id"]))
         rows["width"].append(width)
         rows["height"].append(height)
         rows["image"].append(content)
         for name in numbers:
-            rows[name].append(float(said[name]))
+            rows[name].append(float(fields[name]))
     pq.write_table(pa.table(rows), out / "touches.parquet", compression="zstd")
 
 
 def make_set(folder: Path, size: tuple[int, int], rounds: int) -> Path:
-    """Write single images as the published ones: 256 a round, with the noise of a sensor."""
+    """Write single images like the published ones: 256 per round, with the noise of a sensor."""
     from benchmarks.real_touches import repeated
     from tests.realtouch import factories as f
 
@@ -129,22 +129,22 @@ COMMANDS = {
 }
 
 
-def jobs(source: Path, other: Path, touches: int) -> dict[str, tuple[Work, Work]]:
-    """Return each job, and the plain way."""
+def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[Job, Job]]:
+    """Return jobs by name, each with that of the plain script."""
     import realtouch
 
-    realtouch.export(source, other, "webdataset")
-    realtouch.frames(source, other / "images", "jpeg")
-    tars, images = other / "webdataset", other / "images"
+    realtouch.export(source, exported, "webdataset")
+    realtouch.frames(source, exported / "images", "jpeg")
+    tars, images = exported / "webdataset", exported / "images"
 
-    def exporting(layout: Any) -> tuple[Work, Work]:
+    def exporting(layout: Any) -> tuple[Job, Job]:
         by_hand = partial(export_by_hand, source), BY_HAND_ROUNDS * TOUCHES
         return (lambda out: realtouch.export(source, out / "set", layout), touches), by_hand
 
-    def importing(layout: Any, place: Path, samples: Any) -> tuple[Work, Work]:
-        by_hand = partial(import_by_hand, partial(samples, place)), touches
+    def importing(layout: Any, folder: Path, samples: Any) -> tuple[Job, Job]:
+        by_hand = partial(import_by_hand, partial(samples, folder)), touches
         return (
-            lambda out: realtouch.import_touches(place, out / "set", realtouch.ImportSpec(layout)),
+            lambda out: realtouch.import_touches(folder, out / "set", realtouch.ImportSpec(layout)),
             touches,
         ), by_hand
 
@@ -165,13 +165,13 @@ def main() -> None:
         for size in ((64, 64), (320, 240)):
             name = f"{size[0]}x{size[1]}"
             source, touches = make_set(home / name, size, options.rounds), options.rounds * TOUCHES
-            for what, works in jobs(source, home / f"other-{name}", touches).items():
+            for what, jobs in jobs_of(source, home / f"exported-{name}", touches).items():
                 if what not in options.only:
                     continue
-                rate, hand = per_second(works, home)
+                rate, rate_by_hand = per_second(jobs, home)
                 tell(
                     f"{what}_{size[0]}", f"a touch, `{COMMANDS[what]}`, {name}; by hand", 1 / rate, "s",
-                    other=1 / hand,
+                    other=1 / rate_by_hand,
                 )  # fmt: skip
 
 

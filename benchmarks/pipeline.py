@@ -2,9 +2,9 @@
 
 ::
 
-    python benchmarks/pipeline.py              # everything but the memory of the full run, some minutes
+    python benchmarks/pipeline.py              # everything but memory, some minutes
     python benchmarks/pipeline.py --memory     # peak memory of 2,000 and of all 13,580 digits
-    python benchmarks/pipeline.py --digits 100 # fewer digits
+    python benchmarks/pipeline.py --digits 100 # more digits against the plain implementation
 
 Digits are compared with the plain implementation of `plain_digit.py`, which needs PyVista and is fastest with
 fast-simplification. Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra
@@ -47,7 +47,7 @@ SOURCE = SyntheticSource()
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--digits", type=int, default=60, help="digits of the comparison with the plain way")
+    parser.add_argument("--digits", type=int, default=60, help="digits to compare with the plain ones")
     parser.add_argument(
         "--memory", action="store_true", help="measure peak memory of 2,000 and 13,580 digits"
     )
@@ -66,23 +66,25 @@ def main() -> None:
     report_start()
 
 
-def median_s(work: Callable[[], object], times: int = 5) -> float:
+def median_s(action: Callable[[], object], times: int = 5) -> float:
     seconds = []
     for _ in range(times):
         start_s = time.perf_counter()
-        work()
+        action()
         seconds.append(time.perf_counter() - start_s)
     return statistics.median(seconds)
 
 
 def report_written(count: int) -> None:
-    """A proved mesh, written, against the plain implementation: processor time, turn by turn."""
+    """Measure the processor time of a proved mesh, written, against the plain implementation, in turns."""
     ids = list(range(0, 13_580, 13_580 // count))[:count]
     spec = DigitSetSpec(SOURCE)
-    ways = (partial(written_row, spec), lambda digit_id: plain_row(SOURCE.image(digit_id).pixels))
-    for way in ways:
-        way(ids[0])
-    ours_s, plain_s = zip(*([processor_s(way, each) for way in ways] for each in ids), strict=True)
+    writers = (partial(written_row, spec), lambda digit_id: plain_row(SOURCE.image(digit_id).pixels))
+    for write in writers:
+        write(ids[0])
+    ours_s, plain_s = zip(
+        *([processor_s(write, digit_id) for write in writers] for digit_id in ids), strict=True
+    )
     what = "a digit drawn, made, proved a solid and written, processor time{}; a plain implementation"
     tell(
         "plain", what.format(""), statistics.median(ours_s), "s", other=statistics.median(plain_s),
@@ -102,9 +104,9 @@ def written_row(spec: DigitSetSpec, digit_id: int) -> None:
     encode_parquet(DigitRow.table([make_row(digit_id, spec)], digit_schema()), PARQUET_STYLE)
 
 
-def processor_s(way: Callable[[int], object], digit_id: int) -> float:
+def processor_s(write: Callable[[int], object], digit_id: int) -> float:
     start_s = time.process_time()
-    way(digit_id)
+    write(digit_id)
     return time.process_time() - start_s
 
 
@@ -118,8 +120,9 @@ def report_workers(folder: Path) -> None:
             start_s = time.perf_counter()
             generate(spec, out, ("train",), workers=workers)
             seconds[workers].append(time.perf_counter() - start_s)
-    one, two = (statistics.median(seconds[workers]) for workers in (1, 2))
-    tell("workers", "1,200 digits, whole runs: two workers; one", two, "s", other=one, target="at least 1.8")
+    one_s, two_s = (statistics.median(seconds[workers]) for workers in (1, 2))
+    what = "1,200 digits, whole runs: two workers; one"
+    tell("workers", what, two_s, "s", other=one_s, target="at least 1.8")
 
 
 def report_size(folder: Path) -> None:
@@ -149,7 +152,7 @@ def report_loading(folder: Path) -> None:
     for row in order:
         _ = digits[row].mesh
     cold_s = (time.perf_counter() - start_s) / len(order)
-    ours_s = median_s(partial(load_each, digits, order), 5) / len(order)
+    ours_s = median_s(partial(load_meshes, digits, order), 5) / len(order)
     theirs_s = published_s(folder, order[:40]) or 0.0
     tell("first", "the first mesh of a set", first_s, "s")
     what = "loading a mesh, random order, unpacked before; `SimpleMeshDataset`"
@@ -168,11 +171,11 @@ def published_s(folder: Path, order: list[int]) -> float | None:
         return None
     theirs = tactile_mnist.SimpleMeshDataset(datasets.load_dataset(str(folder), split="train"))
     _ = theirs[0].mesh
-    return median_s(partial(load_each, theirs, order), 3) / len(order)
+    return median_s(partial(load_meshes, theirs, order), 3) / len(order)
 
 
-def load_each(digits: Sequence[Any], order: list[int]) -> None:
-    """Load meshes one after another, keeping none: what a training loop does."""
+def load_meshes(digits: Sequence[Any], order: list[int]) -> None:
+    """Load meshes one after another, keeping none, as a training loop does."""
     for row in order:
         _ = digits[row].mesh
 

@@ -1,9 +1,9 @@
-"""A twin of the sensor of the published touches, calibrated with touches of printed digits, and its figures.
+"""Calibrate a twin of the sensor of the published touches with touches of printed digits, and check it.
 
     python benchmarks/published_twin.py real-single-320x240 OUT [--solids mnist3d]
 
-Touches of the first split calibrate, those of the last one check. OUT gets the sensor, the chosen touches,
-``figures.json``, and ``figures.png``: images, what the twin makes of the depth read from them, and the depth.
+Touches of the first split calibrate it, those of the last split check it. OUT gets the sensor, the chosen
+touches, ``figures.json``, and ``figures.png``: images, the depth read in them, and images rendered from it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import realtouch
 import tactile_sim
 from tactile_toolkit import places
 
-ROUNDS = 20  # of one gel, which was replaced half-way
+ROUNDS = 20  # all of one gel, which was replaced halfway through the published rounds
 SHOWN = 6
 
 
@@ -29,11 +29,11 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--solids", default="mnist3d")
     options = parser.parse_args()
-    place, out = places.open_place(options.name), options.out
-    if len(place.splits) < 2:
+    dataset, out = places.open_place(options.name), options.out
+    if len(dataset.splits) < 2:
         parser.error(f"{options.name!r} has one split; held-out touches need a second one")
-    for folder, split in (("touches", place.splits[0]), ("held-out", place.splits[-1])):
-        realtouch.select(place, str(out / folder), contact=True, split=split, limit=ROUNDS)
+    for folder, split in (("touches", dataset.splits[0]), ("held-out", dataset.splits[-1])):
+        realtouch.select(dataset, str(out / folder), contact=True, split=split, limit=ROUNDS)
     recordings = tactile_sim.read_recordings(out / "touches", options.solids)
     model = tactile_sim.calibrate(recordings, name=out.name)
     model.save(out / "sensor")
@@ -47,10 +47,10 @@ def main() -> None:
     rows = (images, model.render_read(depth_m), np.repeat(shades[..., None], 3, axis=3))
     sheet = np.concatenate([np.concatenate(list(row), axis=1) for row in rows], axis=0)
     Image.fromarray(sheet).save(out / "figures.png")
-    for each in health.figures:
-        print(f"{each.name} of held-out touches: {each.value:.3g}, limit {each.limit:g}")
-    residual = model.report["image_error_levels"]
-    print(f"{len(recordings)} touches, with a residual of {residual:.2f} levels")
+    for figure in health.figures:
+        print(f"{figure.name} of held-out touches: {figure.value:.3g}, limit {figure.limit:g}")
+    error_levels = model.report["image_error_levels"]
+    print(f"{len(recordings)} touches, with an image error of {error_levels:.2f} levels")
 
 
 if __name__ == "__main__":

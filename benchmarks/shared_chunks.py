@@ -1,11 +1,11 @@
-"""How much of a data set the Hub has already where 1 % of its rows differ.
+"""Share of a data set that the Hub already stores if it stores one that differs in 1 % of the rows.
 
     python benchmarks/shared_chunks.py digits touches
 
 The Hub's storage cuts files by content (a rolling gear hash, 64 KiB on average) and keeps equal chunks once.
-The shards of each folder given are written with pages of a fixed size, and in the style of their kind: as
-they are, and with 1 % of the rows replaced by others or removed. Printed is the share of the second set's
-bytes that lie in chunks of the first.
+The shards of each folder are written with pages of a fixed size, and in the style of their kind: unchanged,
+with 1 % of the rows replaced, and with these removed. The script prints the share of the bytes of each
+changed set that lie in chunks of the unchanged one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tactile_sim import TouchPlan, TouchSetSpec
 from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open_folder, read_manifest
 
-# Any 256 random numbers cut alike; these are not those of the Hub.
+# Any 256 random numbers give chunks of the same mean size; those of the Hub are different.
 GEAR = np.random.default_rng(0).integers(0, 1 << 64, 256, dtype=np.uint64)
 MASK = np.uint64(0xFFFF << 48)
 LEAST_BYTES, MAX_BYTES = 8 << 10, 128 << 10
@@ -96,11 +96,11 @@ def main() -> None:
         paths = sorted(Path(name, "data").glob("*.parquet"))
         sets = changed([pq.read_table(path).combine_chunks() for path in paths])
         print(f"{name}: {sum(map(len, sets[0])):,} rows in {len(paths):,} shards")
-        now = style_of(open_folder(name))
-        plain = replace(now, values_per_page=None, chunks_by_content=False, page_index=False)
-        for pages, style in (("plain", plain), ("ours", now)):
-            first, *others = ([encode_parquet(table, style) for table in tables] for tables in sets)
-            shares = " ".join(f"{shared(first, other):6.1%}" for other in others)
+        stored = style_of(open_folder(name))
+        plain = replace(stored, values_per_page=None, chunks_by_content=False, page_index=False)
+        for pages, style in (("plain", plain), ("ours", stored)):
+            first, *changed_sets = ([encode_parquet(table, style) for table in tables] for tables in sets)
+            shares = " ".join(f"{shared(first, second):6.1%}" for second in changed_sets)
             print(f"  {pages:6} {sum(map(len, first)):>12,} bytes; replaced, removed: {shares}")
 
 

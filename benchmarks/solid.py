@@ -1,4 +1,4 @@
-"""How fast, how true and how small the solids are: the fast way against the literal one, measured in one run.
+"""Speed, accuracy and size of the solids: the fast algorithm against the literal one, measured in one run.
 
 python benchmarks/solid.py [--digits ../shared/digits/png] [--count 24 | --all] [--repeats 3]
 python benchmarks/solid.py --peer [--count 24 | --all]    # processor time, against plain libraries
@@ -41,7 +41,7 @@ DIGITS = Path(__file__).resolve().parents[2] / "shared" / "digits" / "png"
 
 
 def main() -> None:
-    """Measure and print three tables: time, accuracy, size."""
+    """Print tables of time, accuracy and size, or with ``--peer`` one of processor times."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--digits", type=Path, default=DIGITS)
     parser.add_argument("--count", type=int, default=24)
@@ -92,8 +92,8 @@ def plain_literal(pixels: np.ndarray) -> Mesh:
     """Make a digit by Algorithm 1 as it is printed, with the usual libraries alone.
 
     Twenty erosions of the full picture (SciPy), stack, mirror, marching cubes (scikit-image), smoothing
-    (trimesh), decimation to as many triangles as ours (fast-simplification). It proves nothing: what comes
-    out is not always closed.
+    (trimesh), decimation to as many triangles as ours (fast-simplification). It proves nothing: the mesh is
+    not always closed.
     """
     ink = np.pad(pixels <= threshold_otsu(pixels), 1)
     radii_px = 20 - np.sqrt(20**2 - (np.arange(20) + 0.5) ** 2)
@@ -125,29 +125,29 @@ def our_shard(rows: list[DigitRow]) -> None:
 def peer_table(images: list[np.ndarray]) -> None:
     """Print processor times, digit by digit in turns, in a process of one thread as workers are.
 
-    All digits of a way are written into one file, as data sets are, and each bears its share of the time; a
-    file for each of ours would take 1.2 ms more.
+    All digits of a method are written into one file, as in data sets, and each gets its share of the time; a
+    file for each of our digits would take 1.2 ms more.
     """
-    ways = ((our_row, our_shard), (plain_literal, parquet_bytes))
-    for make, write in ways:
+    methods = ((our_row, our_shard), (plain_literal, parquet_bytes))
+    for make, write in methods:
         write([make(images[0])] * len(images))
-    turns = [[processor_ms(make, each) for make, _ in ways] for each in images]
+    turns = [[processor_ms(make, pixels) for make, _ in methods] for pixels in images]
     ours_ms, peer_ms = (
-        np.array([taken for taken, _ in times])
-        + processor_ms(write, [made for _, made in times])[0] / len(images)
-        for times, (_, write) in zip(zip(*turns, strict=True), ways, strict=True)
+        np.array([time_ms for time_ms, _ in results])
+        + processor_ms(write, [digit for _, digit in results])[0] / len(images)
+        for results, (_, write) in zip(zip(*turns, strict=True), methods, strict=True)
     )
-    for name, of in (("mean", np.mean), ("median", np.median)):
-        ours, peer = of(ours_ms), of(peer_ms)
+    for name, average in (("mean", np.mean), ("median", np.median)):
+        ours, peer = average(ours_ms), average(peer_ms)
         print(f"{name:8s} ours {ours:7.1f} ms   literal {peer:7.1f} ms   {peer / ours:6.1f} x")
     print(f"slowest digit: {ours_ms.max() / np.median(ours_ms):.1f} medians")
 
 
-def processor_ms(way: Callable[[T], R], of: T) -> tuple[float, R]:
-    """Return the processor time that something takes, and what it gives."""
+def processor_ms(function: Callable[[T], R], argument: T) -> tuple[float, R]:
+    """Return the processor time of a call, milliseconds, and its result."""
     start = time.process_time()
-    found = way(of)
-    return (time.process_time() - start) * 1000, found
+    result = function(argument)
+    return (time.process_time() - start) * 1000, result
 
 
 def best_ms(action: Callable[[], object], repeats: int) -> float:
@@ -170,9 +170,10 @@ def accuracy_table(images: list[np.ndarray], points: int) -> None:
         report, oracle = inspect(fast), inspect(literal)
         counts = count_bodies_and_holes(mask)
         same += counts == (report.bodies, report.genus) == (oracle.bodies, oracle.genus)
-        found = symmetric_distances_mm(fast, literal, points)
-        distances.append(found)
-        rows.append((found.mean(), np.percentile(found, 99.9), fast.volume_m3 / literal.volume_m3 - 1))
+        distances_mm = symmetric_distances_mm(fast, literal, points)
+        distances.append(distances_mm)
+        volume_ratio = fast.volume_m3 / literal.volume_m3
+        rows.append((distances_mm.mean(), np.percentile(distances_mm, 99.9), volume_ratio - 1))
         reports.append(report)
         packed.append(fast)
     print_accuracy(np.array(rows), np.concatenate(distances), same, len(images))

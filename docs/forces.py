@@ -2,8 +2,9 @@
 
 Usage: python docs/forces.py [FOLDER]      (extra sim; FOLDER is docs by default)
 
-``forces.png``: rows are the image, the pressure, the motion of markers in the press, and how a slide of
-0.4 mm to the right and a twist of 4 degrees move them further. Arrows are five times as long as the motion.
+``forces.png``: rows are the image, the pressure, the motion of markers while the gel is pressed, and their
+further motion by a slide of 0.4 mm to the right and by a twist of 4 degrees. Arrows are five times as long as
+the motion.
 """
 
 from __future__ import annotations
@@ -45,27 +46,30 @@ def column(mesh: Mesh, number: int) -> list[np.ndarray]:
             load=tactile_sim.GelLoad(force_n=FORCE_N, slide_m=slide_m, twist_rad=twist_rad, gel=GEL),
         )
 
-    rest = tactile_sim.marker_grid_px(MARKERS, sensor.size_px)
+    markers_at_rest_px = tactile_sim.marker_grid_px(MARKERS, sensor.size_px)
 
-    def moved(pressed: tactile_sim.Pressed) -> np.ndarray:
+    def markers_px(pressed: tactile_sim.Pressed) -> np.ndarray:
         displacement_m = pressed.contact.displacement_m
         return tactile_sim.marker_positions_px(displacement_m, sensor.window_m, MARKERS, sensor.size_px)
 
-    still = press()
-    flows = [
-        moved(still) - rest,
-        moved(press((0.0004, 0.0))) - moved(still),
-        moved(press(twist_rad=0.07)) - moved(still),
+    pressed = press()
+    flows_px = [
+        markers_px(pressed) - markers_at_rest_px,
+        markers_px(press((0.0004, 0.0))) - markers_px(pressed),
+        markers_px(press(twist_rad=0.07)) - markers_px(pressed),
     ]
-    image = still.render(make_optics("taxim"), sensor, sensor.size_px)[0]
-    pictures = [image, pressure_picture(still.contact.pressure_pa)]
-    pictures += [flow_picture(rest.reshape(-1, 2), each.reshape(-1, 2), sensor.size_px) for each in flows]
-    return [resized(each, SHOWN_PX, SHOWN_PX) for each in pictures]
+    image = pressed.render(make_optics("taxim"), sensor, sensor.size_px)[0]
+    pictures = [image, pressure_picture(pressed.contact.pressure_pa)]
+    for flow_px in flows_px:
+        markers = markers_at_rest_px.reshape(-1, 2)
+        pictures.append(flow_picture(markers, flow_px.reshape(-1, 2), sensor.size_px))
+    return [resized(picture, SHOWN_PX, SHOWN_PX) for picture in pictures]
 
 
 def main() -> None:
     """Write the picture into a folder."""
-    folder, source = Path((sys.argv[1:] or [str(Path(__file__).parent)])[0]), SyntheticSource()
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent)
+    source = SyntheticSource()
     meshes = [solidify(source.image(980 + digit * 14).pixels) for digit in range(10)]
     columns = [column(mesh, digit) for digit, mesh in enumerate(meshes)]
     step = SHOWN_PX + GAP_PX

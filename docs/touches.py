@@ -25,26 +25,27 @@ from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.optics.rendering import make_optics
 from tactile_toolkit.errors import InputError
 
-DIGIT, AT_M = 1234, (0.008, 0.016)
+DIGIT = 1234
+POSITION_M = (0.008, 0.016)
 TURN_RAD = 0.2
 LAYER_M = 0.0002
 
 
-def seen_from_above(solid: tactile_sim.Pressable) -> np.ndarray:
-    """Return heights over the plate, mm, as a sensor sees them that is as large as the cell."""
+def heights_in_cell(solid: tactile_sim.Pressable) -> np.ndarray:
+    """Return heights above the plate in the whole cell, seen from above, shape (480, 480), mm."""
     sensor = tactile_sim.Sensor((480, 480), (0.12, 0.12))
     pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(), sensor)
     return 1e3 * (pressed.sensor_z_m - pressed.depth_m)
 
 
 def object_pose(solid: tactile_sim.Pressable) -> np.ndarray:
-    """Stand the digit on the plate, turned a little."""
-    return tactile_sim.pose(z_m=0.0 - solid.foot_m, turn_rad=TURN_RAD)
+    """Return the pose of the digit on the plate, turned a little."""
+    return tactile_sim.pose(z_m=-solid.foot_m, turn_rad=TURN_RAD)
 
 
-def show(axes: Any, picture: np.ndarray, title: str, **how: Any) -> None:
+def show(axes: Any, picture: np.ndarray, title: str, **image_options: Any) -> None:
     """Show a picture with a title and a thin frame."""
-    axes.imshow(picture, interpolation="nearest", **how)
+    axes.imshow(picture, interpolation="nearest", **image_options)
     axes.set_title(title, fontsize=9)
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_color("0.8")
@@ -57,23 +58,24 @@ def show_cell(axes: Any, heights_mm: np.ndarray, title: str) -> None:
 
 def frame(axes: Any, window_m: tuple[float, float], colour: str, label: str) -> None:
     """Draw the window of a sensor where it is pressed."""
-    width, height = (1e3 * each for each in window_m)
-    x, y = (1e3 * each for each in AT_M)
-    place = (x - width / 2, y - height / 2)
-    axes.add_patch(Rectangle(place, width, height, fill=False, edgecolor=colour, linewidth=1.6, label=label))
+    width_mm, height_mm = (1e3 * side_m for side_m in window_m)
+    x_mm, y_mm = (1e3 * coordinate_m for coordinate_m in POSITION_M)
+    corner_mm = (x_mm - width_mm / 2, y_mm - height_mm / 2)
+    outline = {"fill": False, "edgecolor": colour, "linewidth": 1.6}
+    axes.add_patch(Rectangle(corner_mm, width_mm, height_mm, label=label, **outline))
 
 
 def touches(solids: list[tactile_sim.Pressable]) -> Figure:
-    """Draw a row for the digit as it is modelled, and one as it is printed."""
-    looks = [("depth", "depth"), ("taxim", "Taxim"), ("cyclegan", "CycleGAN")]
+    """Draw a row of pictures of the digit as modelled, and a row of the digit as printed."""
+    optics_titles = [("depth", "depth"), ("taxim", "Taxim"), ("cyclegan", "CycleGAN")]
     figure = Figure(figsize=(9.6, 4.4), dpi=110, layout="constrained")
     for row, (solid, surface) in enumerate(
         zip(solids, ("as modelled", "printed, layers of 0.2 mm"), strict=True)
     ):
         cell = figure.add_subplot(2, 4, 4 * row + 1)
-        show_cell(cell, seen_from_above(solid), f"a digit, and the gel on it\n{surface}")
+        show_cell(cell, heights_in_cell(solid), f"a digit, and the gel on it\n{surface}")
         frame(cell, tactile_sim.full_view().window_m, "crimson", "gel")
-        for column, (name, title) in enumerate(looks):
+        for column, (name, title) in enumerate(optics_titles):
             axes = figure.add_subplot(2, 4, 4 * row + 2 + column)
             try:
                 optics = make_optics(name)
@@ -81,7 +83,9 @@ def touches(solids: list[tactile_sim.Pressable]) -> Figure:
                 axes.text(0.5, 0.5, str(error), wrap=True, ha="center", fontsize=6)
                 continue
             sensor = tactile_sim.full_view(*optics.depth_size(320, 240))
-            pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
+            pressed = tactile_sim.render_touch(
+                solid, object_pose(solid), tactile_sim.pose(*POSITION_M), sensor
+            )
             show(axes, optics.render(pressed.depth_m[None], sensor, (320, 240))[0], title)
     return figure
 
@@ -90,24 +94,24 @@ def windows(solid: tactile_sim.Pressable) -> Figure:
     """Draw one touch in both windows, in 64 x 64 pixels."""
     figure = Figure(figsize=(9.6, 2.6), dpi=110, layout="constrained")
     axes = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.33))
-    show_cell(axes[0], seen_from_above(solid), "where the gel is pressed")
+    show_cell(axes[0], heights_in_cell(solid), "where the gel is pressed")
     optics = make_optics("taxim")
     presets = (
         ("full view", tactile_sim.full_view, "crimson", "18.88 x 14.16 mm, squashed"),
         ("center view", tactile_sim.center_view, "royalblue", "14.16 x 14.16 mm"),
     )
-    for place, (name, preset, colour, window) in zip((1, 2), presets, strict=True):
+    for column, (name, preset, colour, window) in enumerate(presets, start=1):
         sensor = preset(64, 64)
         frame(axes[0], sensor.window_m, colour, name)
-        pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
+        pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*POSITION_M), sensor)
         show(
-            axes[place],
+            axes[column],
             optics.render(pressed.depth_m[None], sensor, (64, 64))[0],
             f"{name}, 64 x 64:\n{window}",
         )
     axes[0].legend(fontsize=7, loc="upper left", frameon=False)
     sensor = tactile_sim.full_view(320, 240)
-    pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
+    pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*POSITION_M), sensor)
     picture = optics.render(pressed.depth_m[None], sensor, (320, 240))[0]
     show(axes[3], picture, "both presets, 320 x 240:\n18.88 x 14.16 mm")
     return figure

@@ -130,7 +130,7 @@ def _title(record: rounds.TouchRound) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedTouch:
-    """A touch and its place.
+    """The picture of a touch and its position.
 
     ``centre_m``, shape (2,), is the middle of the picture: x and y, metres, cell frame. The rows of ``axes``,
     shape (2, 2), are the directions along x and y in which columns and rows of the picture grow; they are
@@ -214,9 +214,9 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
         layers = np.dstack([touch.pixels.astype(np.float32), weight])
         sampled = _sampled(layers, window, back, Image.Resampling.BILINEAR)
         inside = _sampled(np.ones_like(layers[..., :1]), window, back, Image.Resampling.NEAREST) > 0.5
-        share = np.where(inside, sampled[..., 3:], 0.0)
-        sums[window] += share * sampled[..., :3]
-        weights[window] += share
+        weight = np.where(inside, sampled[..., 3:], 0.0)
+        sums[window] += weight * sampled[..., :3]
+        weights[window] += weight
     mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
     return np.round(mixed).astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""``python -m tactile_envs``: the command line, also where its command is not on the path."""
+"""``python -m tactile_envs``: the command line, for when its command is not on PATH."""
 
 from __future__ import annotations
 

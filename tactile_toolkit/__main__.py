@@ -1,4 +1,4 @@
-"""``python -m tactile_toolkit``: the command ``tactile``, also where it is not on the path."""
+"""``python -m tactile_toolkit``: the command ``tactile``, for when it is not on PATH."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ WHOLE_ROUND = -1
 """In place of the number of a touch: all touches of a round."""
 MAX_ONE_VALUE = 0.95
 """A picture has no content if more than this share of its pixels has one value, in each channel. Noise of
-half a level leaves three quarters, that of a camera less than a half."""
+half a level leaves 68 %, that of a camera less than a half."""
 MIN_BRIGHTEST = 8.0
 """A picture whose brightest cell is darker is black, levels of 255: above the noise of a covered camera."""
 NOISE_FACTOR = 6.0
@@ -50,7 +50,7 @@ MAX_CLOCK_DIFFERENCE = 0.05
 """Largest difference between the median step of the time stamps of a clip and that of its file, as a share:
 stamps in whole milliseconds differ by up to 2 % at 60 Hz."""
 ROWS, COLUMNS = 12, 16
-"""Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
+"""Cells of a picture whose averages are compared: 1.2 mm of a GelSight Mini, which shows 18.9 x 14.2 mm."""
 _UNEVEN = 3.0  # levels; the cells of a constant JPEG differ by up to 2
 _BLOCK_PX = 16  # side of a block of JPEG with subsampled colours
 _PATCHES = 4  # per side of the coarse pattern by which colours are recognised
@@ -143,7 +143,7 @@ RULES: dict[str, FaultRule] = {
         "Dropped frames",
         "a time step of {value:.3g} times the median step of its clip",
         "steps of less than {gap:g} times the median step",
-        "compare by time rather than by number of frame, or record with less load",
+        "compare by time, not by frame number, or record with less load on the computer",
     ),
     "exposure-jumps": FaultRule(
         "Exposure jumps",
@@ -274,8 +274,8 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
     limit = max(least, NOISE_FACTOR * float(usual_step))
     jumps: list[tuple[int, float]] = []
     usual = 0  # the last picture before the first step
-    for step in np.flatnonzero(steps > limit).tolist():
-        is_back = bool(jumps) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
+    for step in np.flatnonzero(steps >= limit).tolist():
+        is_back = bool(jumps) and brightness_steps(cells[[usual, step + 1]])[0] < limit
         if is_back:
             usual = step + 1
             continue

@@ -150,7 +150,7 @@ def rigid_transform(position_m: AnyArray, quaternion: AnyArray) -> Pose:
 
 
 def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | None:
-    """Find the first of n rows that is not a pose: its number and what is wrong with it, or None."""
+    """Return the index of the first of n rows that is not a pose, and its problem; None if all are poses."""
     squares = np.einsum("ij,ij->i", quaternion, quaternion)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to NaN
         # The sum is finite only if all values are, and is ten times as fast to check.
@@ -173,7 +173,7 @@ def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | No
 def pose_of(position_m: object, quaternion: object) -> Pose | Poses:
     """Make the pose of a stored position and quaternion, or the poses of lists of them.
 
-    Raises ValueError for anything else than one or several poses.
+    Raises ValueError for anything other than one or several poses.
     """
     try:
         positions = np.asarray(position_m, np.float64)

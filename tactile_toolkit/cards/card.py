@@ -37,13 +37,13 @@ _MAX_DRAWN = 12
 _COLUMNS = 6
 _PICTURE_PX = 780
 _MAX_TILE_PX = 480
-# Templates have "FOLDER" there, because others cannot load a folder by name.
+# Templates have "FOLDER" there: `datasets` loads a folder by its path, a repository by its name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 _UNKNOWN = ("", "a column of this copy; not in the published schema")
 _TABLE_COLUMNS: dict[str, tuple[str, str]] = {
     "label_name": ("", "name of the class"),
     **{name: ("m", f"extent along {name[5]}") for name in records.SIZES},
-    f"{records.MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
+    records.MESH: ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
 }
 _GLB = f"{records.MESH}.bytes"
 
@@ -121,8 +121,8 @@ class Card:
     ) -> Card:
         """Return the card of a copy of a data set of meshes.
 
-        A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and
-        ``title`` are those of its source. ``terms`` are ``licence_text`` and ``citation_text`` of the
+        A copy is an export to tables for other libraries, a merged set, or a selection of rows. ``columns``
+        and ``title`` are those of its source. ``terms`` are ``licence_text`` and ``citation_text`` of the
         template.
         """
         command = kind.command_of(manifest)
@@ -214,8 +214,8 @@ def rewrite_card(
 ) -> list[str]:
     """Write the card of a finished folder again; return its path and those of its pictures.
 
-    Words of the owner that the card states stay, unless ``words`` replace them. Raises InputError if those in
-    the card cannot be used, IntegrityError if the data are damaged.
+    Texts of the owner in the card are kept unless ``words`` replaces them. Raises InputError if those in the
+    card cannot be used, IntegrityError if the data are damaged.
     """
     with catalog.specification_read(folder.address()):
         if words.given():
@@ -308,7 +308,7 @@ def with_repo_name(card: str, name: str) -> str:
 
 
 def _bibtex(names: Sequence[str]) -> str:
-    """Return entries of ``data_cards`` as a BibTeX block in Markdown; nothing without any."""
+    """Return entries of ``data_cards`` as a BibTeX block in Markdown; empty without entries."""
     if not names:
         return ""
     entries = (files("data_cards").joinpath(f"{name}.bib").read_text(encoding="utf-8") for name in names)

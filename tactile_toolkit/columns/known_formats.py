@@ -60,7 +60,7 @@ class KnownFormat:
     fits : callable
         Takes the first bytes of a file, and returns whether it has the format.
     endings : tuple of str
-        Endings of names in lower case, of formats that are read nowhere.
+        Endings of file names in lower case, only of formats that no import of recordings reads.
     """
 
     key: str
@@ -73,7 +73,7 @@ class KnownFormat:
     def of(file: bytes | IO[bytes]) -> KnownFormat | None:
         """Return the format of a file by its beginning, or that of a stream; None if it is unknown.
 
-        A kilobyte is enough. A stream is then at its start.
+        The first kilobyte is enough. A stream is left at its start.
         """
         if isinstance(file, bytes):
             start = file
@@ -98,7 +98,7 @@ class KnownFormat:
         return next((known for known in KNOWN_FORMATS if path.lower().endswith(known.endings)), None)
 
 
-# The first one that fits decides.
+# The first format that fits decides.
 KNOWN_FORMATS = (
     KnownFormat("empty", "an empty file", "copy or download it again", _pattern(rb"\Z")),
     KnownFormat(
@@ -164,4 +164,4 @@ KNOWN_FORMATS = (
         _pattern(rb"(?:.{4}ftyp(?!hei|hev|mif|msf|avi)|RIFF.{4}AVI|\x1a\x45\xdf\xa3)"),
     ),
 )
-"""Formats that people have, by the order of their tests."""
+"""Known formats, in the order in which they are tested."""

@@ -194,7 +194,9 @@ def failure_of(
         (_requested_wait_s(response.headers) for response in responses if response is not None), 0.0
     )
     for pattern, sentence in _SENTENCES.items():
-        link = next((link for link, its in zip(chain, traits, strict=True) if re.search(pattern, its)), None)
+        link = next(
+            (link for link, names in zip(chain, traits, strict=True) if re.search(pattern, names)), None
+        )
         if link is not None:
             values = {
                 "subject": f"Hub data set {repo_id!r}",
@@ -211,13 +213,14 @@ def failure_of(
                 errors.redact(part.format(**values), huggingface_hub.get_token()) for part in sentence
             )
             raised = _CLASSES.get(pattern, errors.HubError)(what, next=then)
-            met = " ".join(traits)
-            return remote.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
+            all_traits = " ".join(traits)
+            is_transient = bool(_PASSING.search(all_traits)) and not _LASTING.search(all_traits)
+            return remote.CallFailure(raised, is_transient, wait_s)
     return None
 
 
 def has_answered(error: BaseException) -> bool:
-    """Return whether the first cause of an error is an answer of the Hub."""
+    """Return whether an error is from an answer of the Hub, not from a busy Hub or a broken connection."""
     return not any(_SILENT.search(_traits(link)) for link in remote.cause_chain(error))
 
 

@@ -34,7 +34,7 @@ _FAR_MM = 1e5
 _MIN_MM3 = 1e-6  # smaller remainders of a cut are not parts
 
 TOO_LIGHT = "too-light"
-"""Problem of a body; the others are :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
+"""Problem of a solid; those of other meshes are :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
 # MuJoCo refuses bodies with a smaller moment of inertia.
 _MIN_MOMENT_KG_M2 = 1e-14
@@ -103,7 +103,7 @@ def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
     if cuts:
         normal = _DIRECTIONS[min(cuts)[1]]
         return normal, float(normal @ deepest)
-    normal = max(_DIRECTIONS, key=lambda piece: float(np.ptp(corners @ piece)))
+    normal = max(_DIRECTIONS, key=lambda direction: float(np.ptp(corners @ direction)))
     along = corners @ normal
     return normal, float(along.min() + along.max()) / 2
 
@@ -190,14 +190,15 @@ def pack_mjcf(
         # Group 2 is drawn and group 3 is not, by convention of the models of MuJoCo.
         drawn = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
         # Torsional and rolling friction are the defaults of MuJoCo.
-        felt = {"type": "mesh", "group": "3", "mass": "0", "friction": _text((body.friction, 0.005, 1e-4))}
+        friction = _text((body.friction, 0.005, 1e-4))
+        collision = {"type": "mesh", "group": "3", "mass": "0", "friction": friction}
         elements.append(
             _tag(
                 "body",
                 _tag("freejoint", name=f"{body.name}-free"),
                 _tag("inertial", pos=_text(body.center_m), mass=_text((body.mass_kg,)), fullinertia=moments),
                 _tag("geom", name=body.name, mesh=body.name, **drawn),
-                *(_tag("geom", name=name, mesh=name, **felt) for name in parts),
+                *(_tag("geom", name=name, mesh=name, **collision) for name in parts),
                 name=body.name,
                 pos=_text((x_m, y_m, 0.0)),
             )
@@ -240,7 +241,7 @@ def _pack_usd(body: RigidBody) -> bytes:
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
     friction = [f"float physics:{kind}Friction = {_text((body.friction,))}" for kind in ("dynamic", "static")]
-    felt = (
+    collision = (
         'uniform token purpose = "guide"',
         'uniform token physics:approximation = "convexHull"',
         f"rel material:binding:physics = </{prim}/material>",
@@ -258,7 +259,7 @@ def _pack_usd(body: RigidBody) -> bytes:
         _prim("Material", "material", ("PhysicsMaterialAPI",), *friction),
         _prim("Mesh", "visual", (), *_usd_surface(body.mesh)),
         *(
-            _prim("Mesh", f"part_{number:02d}", schemas, *_usd_surface(part), *felt)
+            _prim("Mesh", f"part_{number:02d}", schemas, *_usd_surface(part), *collision)
             for number, part in enumerate(body.parts)
         ),
     )

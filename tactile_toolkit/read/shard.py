@@ -48,8 +48,9 @@ _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 _MAX_EXPANSION = 500
 Footer: TypeAlias = "tuple[parquet.FileMetaData, pa.Schema]"
 
-# Metadata and Arrow schema by content and stated rows, some hundred kB for a large shard. The schema object
-# of the metadata is not kept, because both refer to each other and would wait for the garbage collector.
+# Metadata and Arrow schema by identity of the file and stated rows, some hundred kB for a large shard. The
+# schema object of the metadata is not kept, because both refer to each other and would wait for the garbage
+# collector.
 _FOOTERS: cache.MemoryCache[tuple[str, int | None], Footer] = cache.MemoryCache(128)
 
 Key = tuple[str, int, int]
@@ -113,12 +114,12 @@ class Shard:
     def metadata(self) -> parquet.FileMetaData:
         """The Parquet footer: row groups, columns, schema; read again if it was evicted.
 
-        Raises IntegrityError if the file has none, or differs from the manifest in size.
+        Raises IntegrityError if the file has none, or differs from the manifest in rows or bytes.
         """
         return self._footer[0]
 
     def column_chunks(self) -> Iterator[pa.ChunkedArray]:
-        """Yield what the footer says of each column chunk."""
+        """Yield the metadata of each column chunk."""
         groups = map(self.metadata.row_group, range(self.metadata.num_row_groups))
         return (group.column(index) for group in groups for index in range(group.num_columns))
 
@@ -251,13 +252,13 @@ class Shard:
             )
 
     def _decoded(self, index: int, number: int) -> RowGroup:
-        """Decode a block, and some blocks before and after it in the row group."""
+        """Decode a block, all blocks before it in the row group, and some after it."""
         decoded: RowGroup
-        for reached, group in enumerate(self.blocks(index)):
-            BLOCKS.put((self.digest, index, reached), group)
-            if reached == number:
+        for block_number, group in enumerate(self.blocks(index)):
+            BLOCKS.put((self.digest, index, block_number), group)
+            if block_number == number:
                 decoded = group
-            if reached + 1 == number + IN_MEMORY:
+            if block_number + 1 == number + IN_MEMORY:
                 break
         return decoded
 
@@ -320,12 +321,12 @@ class Shard:
         """
         if not self.is_remote:
             with contextlib.suppress(OSError):
-                return self._found_now()
+                return self._identity_now()
         with self._named_damage():
             return self._opened(None)[1]
 
-    def _found_now(self) -> tuple[int, str, int, int, int]:
-        """Return the identity of the local file now."""
+    def _identity_now(self) -> tuple[int, str, int, int, int]:
+        """Return the present identity of the local file."""
         facts = os.stat(self.path)  # noqa: PTH116
         # With the name, because machines that share a cache may have other files with the same numbers.
         name = self.path.rpartition("/")[2]
@@ -371,7 +372,7 @@ class Shard:
         if not self.is_remote:
             parquet = store.open_checked(self.path, metadata)
             # After opening, so that the identity is not that of an earlier file.
-            facts = self._found_now()
+            facts = self._identity_now()
             return parquet, facts, facts[-2]
         stream, identity, size_bytes = self._stream()
         return store.open_checked(stream, metadata), identity, size_bytes
@@ -381,11 +382,11 @@ class Shard:
         files, name = store.split_uri(self.path)
         stream = files.open(name)
         if not self.is_remote:
-            own = self._found_now()
-            return stream, own, own[-2]
-        facts = getattr(stream, "details", None) or files.info(name) or {}
-        versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
-        return stream, (self.path, *versions), facts["size"]
+            facts = self._identity_now()
+            return stream, facts, facts[-2]
+        details = getattr(stream, "details", None) or files.info(name) or {}
+        versions = [(key, str(details[key])) for key in VERSION_KEYS if key in details]
+        return stream, (self.path, *versions), details["size"]
 
     @contextlib.contextmanager
     def stored(self) -> Iterator[IO[bytes]]:

@@ -43,7 +43,7 @@ ASKED_WAIT_S = 120.0
 ANSWER_S = 60.0
 """Time that every answer may take, seconds; a server that sends a byte now and then would never end."""
 MIN_BYTES_PER_S = 10_000
-"""Further time is allowed by the size of an answer; slower transfers are given up."""
+"""Speed that adds time for the size of an answer, bytes per second; slower transfers are given up."""
 
 _READ_AHEAD = 1 << 20  # bytes
 _UPLOAD_OPTIONS = {"s3": {"max_concurrency": 2}}
@@ -103,7 +103,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class CallFailure:
-    """The error for what a client raised, and whether the same call may succeed soon.
+    """The error for an exception of a client, and whether the same call may succeed soon.
 
     ``asked_wait_s`` is the time that the server asks to wait, seconds.
     """
@@ -193,7 +193,10 @@ def _client_of(address: str) -> AbstractFileSystem:
     try:
         client = fsspec.filesystem(scheme, **_options(scheme, fsspec.config.conf))
     except ImportError as error:
-        package = _PACKAGES.get(scheme, "of this kind of store")
+        package = _PACKAGES.get(scheme)
+        if package is None:
+            problem = f"the client for {scheme + '://'!r} is not installed ({error})"
+            raise InputError(f"{address!r}: {problem}", next="install that package") from error
         if scheme == "s3":
             raise MissingExtraError(repr(address), package, "s3") from error
         missing = f"{address!r} needs the package {package!r}, which is not installed"
@@ -224,8 +227,9 @@ def _options(scheme: str, configured: JsonObject) -> JsonDict:
 def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int = 0) -> T:
     """Do something with a file of a store; ``doing`` names it in messages, such as ``"reading"``.
 
-    ``size_bytes`` are sent or arrive; they limit its time. Raises FileNotFoundError and FileExistsError
-    unchanged, and RemoteError for all other failures.
+    ``size_bytes`` are sent or arrive; the time limit grows with them. Raises FileNotFoundError and
+    FileExistsError unchanged, InputError for a name that no bucket or file can have, IntegrityError for a
+    file that was replaced while it was read, and RemoteError for other failures of the store.
     """
     failure = partial(_store_failure, doing=doing, address=address)
     return with_retry(partial(in_time, action, size_bytes), failure, _WAITS_S, patience_s=_PATIENCE_S)
@@ -393,7 +397,7 @@ class FsspecFolder(DataFolder):
             self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
     def _in_one_request(self, content: bytes) -> JsonDict:
-        """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
+        """Return options so that a killed writer leaves no pieces, which cost money and are not listed."""
         if _scheme(self.root) == "s3":
             return {"chunksize": len(content) + 1}
         return {}
@@ -405,7 +409,7 @@ class FsspecFolder(DataFolder):
         self._put(path, size_bytes, lambda key: self._client.put_file(str(source), key, **options))
 
     def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
-        """Write a file in pieces, which are put together in ``$TMPDIR``; return what ``fill`` returns."""
+        """Let ``fill`` write a file in ``$TMPDIR``, and upload it; return what ``fill`` returns."""
         with scratch_folder() as scratch:
             file = scratch / "file"
             with named_failures(str(file)), file.open("wb") as stream:

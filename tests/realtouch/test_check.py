@@ -20,7 +20,7 @@ import realtouch
 import starstruck_gen
 import tactile_sim
 from realtouch.checks.checking import GELSIGHT_MINI
-from realtouch.checks.rules import RULES, count_markers
+from realtouch.checks.rules import RULES, count_markers, outlying_steps
 from tactile_sim.optics.taxim import taxim_package
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
@@ -355,6 +355,13 @@ def brighter_from(first: int, truth: Truth) -> Truth:
 
 def test_a_step_between_rounds(tmp_path: Path) -> None:
     assert found_in(written(tmp_path, "seq", brighter_from(2, recorded()))) == {"exposure-jumps": ["2:0-5"]}
+
+
+def test_a_step_of_the_limit_counts_and_the_way_back_does_not() -> None:
+    levels = np.array([50, 50, 62, 62, 50, 50], np.float32)
+    cells = np.broadcast_to(levels[:, None, None, None], (6, 12, 16, 3))
+    assert outlying_steps(cells, 12.0) == [(2, 12.0)]
+    assert outlying_steps(cells, 12.1) == []
 
 
 def test_rounds_of_one_image_are_compared_with_their_neighbours(tmp_path: Path) -> None:

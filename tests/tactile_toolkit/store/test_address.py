@@ -92,13 +92,14 @@ def test_an_address_of_this_machine_is_a_local_folder(tmp_path):
     [
         ("s3://bucket/set", "needs the package 's3fs', .*; next: pip install .*extra `s3`"),
         ("gs://bucket/set", "needs the package 'gcsfs', which is not installed; next: pip install gcsfs"),
+        ("sftp://host/set", "client for 'sftp://' is not installed .*paramiko.*; next: install that package"),
         ("nowhere://bucket/set", "no store is known by 'nowhere://'"),
     ],
 )
 def test_a_store_whose_package_is_missing(address, words):
     program = f"""
 import sys
-sys.modules.update(s3fs=None, gcsfs=None)
+sys.modules.update(s3fs=None, gcsfs=None, paramiko=None)
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import open_folder
 try:

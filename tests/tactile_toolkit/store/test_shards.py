@@ -92,7 +92,7 @@ def test_shards_hold_every_row_once_in_order(rows: int, smallest: int, more: int
         (500, 10, 50),
         (1_000, 16, 63),
         (11_480, 90, 128),
-        (1 << 20, 8_192, 128),  # up to here as version 0.1.0 divided them
+        (1 << 20, 8_192, 128),  # the most shards of 128 rows
         ((1 << 20) + 1, 4_097, 256),
         (10**7, 19_532, 512),
     ],
