@@ -390,8 +390,8 @@ def _recording(
     divisor = pictures.divisor if isinstance(pictures, picture_arrays.PictureArray) else ""
     about = (f"{divisor} {group}{image}", 0, len(pictures), pictures.picture_bytes, values, per_frame)
     whole = source_touches.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
-    constant = zarr_recordings.of_episodes(whole, columns).intersection(required)
-    return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
+    constant = zarr_recordings.episode_columns(whole, columns).intersection(required)
+    return next(zarr_recordings.split_episodes(whole, np.array([len(pictures)]), [title], constant))
 
 
 def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.Pictures:

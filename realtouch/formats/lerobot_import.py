@@ -231,7 +231,7 @@ def _as_ours(recording: source_touches.Recording, mark: Mark) -> source_touches.
         of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]
     recording = replace(recording, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
     recording = zarr_recordings.with_contact(recording)
-    ours = zarr_recordings.name_ours(recording, _VECTORS, mark.class_names).per_frame
+    ours = zarr_recordings.restore_column_names(recording, _VECTORS, mark.class_names).per_frame
     # Further columns are added last: one may have the name of a column of ours, which is kept then.
     per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
     values |= {

@@ -41,7 +41,7 @@ _MAX_SENSORS = 100
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
 _MAX_ARRAYS = 500
-_OF_META = (ROUND, TOUCH)
+_META_ARRAYS = (ROUND, TOUCH)
 _OUR_VECTORS = {"gel_pose": touch_options.POSE_COLUMNS, "pos_in_cell": touch_options.POSITION_COLUMNS}
 _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUMNS)
 
@@ -87,9 +87,9 @@ def find_oxt(
                 numbers = range(min(count, _MAX_SENSORS))
                 sensors |= {f"{name}[{sensor}]": (name, sensor) for sensor in numbers}
     advice = ""
-    several = [name for name, shape in arrays.items() if isinstance(shape, list) and len(shape) == 4]
-    if several:
-        advice = f"--format replay --map image={several[0]} imports another array as the pictures"
+    others = [name for name, shape in arrays.items() if isinstance(shape, list) and len(shape) == 4]
+    if others:
+        advice = f"--format replay --map image={others[0]} imports another array as the pictures"
     chosen = source_files.chosen_pictures(
         sensors, columns.image_name, group.address, "arrays of pictures", arrays, advice
     )
@@ -105,7 +105,8 @@ def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
     names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
     if len(names) != 1:
         raise errors.InputError(
-            f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}"
+            f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}",
+            next="give the folder or zip of one group",
         )
     return zarr_arrays.ZarrGroup(home, names[0])
 
@@ -138,8 +139,10 @@ def recordings_of(
     part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
     ignored = {name, *(array for array, source in columns.extra if not source)}
     arrays = {array: partial(group.array, f"{DATA}/{array}") for array in names if array not in ignored}
-    of_meta = {
-        array: partial(group.array, f"meta/{array}") for array in group.arrays("meta") if array in _OF_META
+    meta_arrays = {
+        array: partial(group.array, f"meta/{array}")
+        for array in group.arrays("meta")
+        if array in _META_ARRAYS
     }
     required = {*columns.found_in(arrays).names(), source_files.NUMBERED}
     arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), required)
@@ -154,18 +157,18 @@ def recordings_of(
     )
     ends = episode_ends(group, len(shown))
     stated = group.json(ATTRIBUTES)
-    meta, _ = picture_arrays.columns_of(of_meta, len(ends), ())
+    meta, _ = picture_arrays.columns_of(meta_arrays, len(ends), ())
     kept = stated.get(COLUMNS)
     if ROUND not in meta or not isinstance(kept, dict):
-        return episodes_of(whole, ends, (), of_episodes(whole, columns))
+        return split_episodes(whole, ends, (), episode_columns(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
     whole = replace(whole, per_frame=per_frame, left_out=())
-    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
+    whole = restore_column_names(whole, _OUR_VECTORS, _texts(stated, CLASSES))
     round_ids = ids = list(map(str, meta[ROUND].tolist()))
     if TOUCH in meta:
         whole = replace(whole, cut="whole")
         ids = list(map(touch_id, round_ids, meta[TOUCH].astype(int).tolist()))
-    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
+    episodes = split_episodes(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
     return (
         replace(with_contact(episode), round=name) for episode, name in zip(episodes, round_ids, strict=True)
     )
@@ -198,7 +201,7 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     return ends
 
 
-def of_episodes(whole: source_touches.Recording, columns: touch_options.ImportColumns) -> set[str]:
+def episode_columns(whole: source_touches.Recording, columns: touch_options.ImportColumns) -> set[str]:
     """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
     known = columns.found_in(whole.per_frame)
     stated = {source_files.NUMBERED, known.label, known.object_id, known.round, known.split}
@@ -207,7 +210,7 @@ def of_episodes(whole: source_touches.Recording, columns: touch_options.ImportCo
     }
 
 
-def episodes_of(
+def split_episodes(
     whole: source_touches.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
 ) -> Iterator[source_touches.Recording]:
     """Divide a recording into episodes; their default names are ``episode-000000`` and so on.
@@ -265,19 +268,20 @@ def _texts(stated: Mapping[str, object], name: str) -> list[str]:
     return [str(text) for text in texts] if isinstance(texts, list) else []
 
 
-def name_ours(
+def restore_column_names(
     whole: source_touches.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
 ) -> source_touches.Recording:
     """Return a recording that this toolkit wrote, with the column names of its tables."""
     per_frame = dict(whole.per_frame)
     for name, names in vectors.items():
         if name in per_frame:
-            with suppress(ValueError):
-                values = column_types.floats_of(per_frame.pop(name))
-                columns = np.atleast_2d(values.T)
-                per_frame |= {
-                    own_name: pa.array(part) for own_name, part in zip(names, columns, strict=False)
-                }
+            with suppress(ValueError):  # other columns keep the name of their array
+                columns = np.atleast_2d(column_types.floats_of(per_frame[name]).T)
+                if len(columns) <= len(names):
+                    del per_frame[name]
+                    per_frame |= {
+                        own_name: pa.array(part) for own_name, part in zip(names, columns, strict=False)
+                    }
     label = per_frame.get(source_files.NUMBERED)
     if label is not None and pa.types.is_integer(label.type) and not label.null_count:
         numbers = label.to_numpy()

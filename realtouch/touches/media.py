@@ -47,7 +47,7 @@ S = TypeVar("S")
 # Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
 MAX_BATCH_PIXELS = 1 << 31
-"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
+"""Most pixels that are decoded into one new array (6 GiB): 256 clips of 90 frames of 320 x 240 pixels fit."""
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
 """Columns of the maps of a round of images, with an entry for each touch."""
 SUFFIX = "png"
@@ -176,7 +176,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
         number = self.checked_index(touch)
         blob: memoryview | None = self._column.values[self._start + number]
         if blob is None or len(blob) == 0:
-            raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", number)
+            raise self.row.damaged("sensor_image", "no bytes are stored; expected an image", number)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
@@ -228,7 +228,7 @@ class DepthMaps(_StoredMedia[Float32, Float32]):
     """The maps of one round; each is decoded on every access and not kept.
 
     ``maps[i]`` gives (H, W), float32, metres; a slice, list or array of ints, or boolean mask (n, H, W).
-    IntegrityError if a map is damaged.
+    IntegrityError if a map is damaged, or the requested ones differ in size.
     """
 
     __slots__ = ()
@@ -242,7 +242,11 @@ class DepthMaps(_StoredMedia[Float32, Float32]):
             return decode_map(self._column.values[self._start + index] or b"")
 
     def _several(self, index: Any) -> Float32:
-        return np.stack([self._item(touch) for touch in self.checked_indices(index)])
+        maps = [self._item(touch) for touch in self.checked_indices(index)]
+        if not maps:
+            return np.zeros((0, *(self._item(0).shape if self._count else (0, 0))), np.float32)
+        with self.row.naming(self.name):
+            return np.stack(maps)
 
 
 class TouchClip(read.LazySequence[UInt8, UInt8]):
@@ -504,10 +508,10 @@ class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
 
 
 def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:
-    """Return the frames of contact of every clip of a round, or of ``touch``: see :func:`contact_window`.
+    """Return the frames of contact of every clip of a round, or of ``touch``.
 
-    Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
-    impossible.
+    See :func:`realtouch.contact.contact_window`. Opens clips only where the times of frames are not stored.
+    Raises IntegrityError when times are missing or impossible.
     """
     times = row.stamps_s(touch)
     if times is None:
@@ -594,7 +598,7 @@ def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> U
     except ValueError as error:
         raise errors.IntegrityError(
             f"{name!r}: {error}",
-            next="run `tactile verify` on the source, and leave the round out first (`tactile select`)",
+            next="run `tactile verify` on the source, and leave the round out (`tactile select`)",
         ) from error
 
 

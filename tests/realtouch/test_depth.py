@@ -79,6 +79,7 @@ def test_a_set_gains_depth_in_metres_and_keeps_all_else(images: Path, tmp_path: 
             np.testing.assert_array_equal(new.sensor_image[:], old.sensor_image[:])
             expected = old.sensor_image[:][..., 0] * 1e-6
             np.testing.assert_allclose(new.depth_m[:], expected, atol=1e-9)
+            assert new.depth_m[[]].shape == (0, *expected.shape[1:])
             np.testing.assert_allclose(new.depth_error_m[0], (1 + fast) * 1e-5, atol=1e-9)
             np.testing.assert_allclose(new.extra["depth_max_m"], expected.max(axis=(1, 2)), rtol=1e-6)
             assert [each.shape for each in new.depth_m] == [each.shape[:2] for each in new.sensor_image]

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import realtouch
+from realtouch.formats.zarr_recordings import restore_column_names
 from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording
@@ -192,6 +194,13 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
             recordings(source, name)
     columns = realtouch.ImportColumns(image="camera_ego_rgb")
     assert realtouch.preview_import(source, realtouch.ImportSpec("replay", columns)).touches == T
+
+
+@pytest.mark.parametrize("column", [pa.array(["a", "b"]), pa.array([[1.0, 2.0, 3.0]] * 2)])
+def test_columns_that_are_no_pose_are_kept(column: pa.Array) -> None:
+    recording = Recording("name", "home", "path", "part", 0, 2, 1, per_frame={"pose": column})
+    restored = restore_column_names(recording, {"pose": ("x_m", "y_m")}, ())
+    assert restored.per_frame == {"pose": column}
 
 
 def test_values_of_episodes_are_in_the_order_of_the_arrays(tmp_path: Path) -> None:
