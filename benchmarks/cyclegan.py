@@ -95,16 +95,17 @@ def make(work: Path, split: str, objects: int, touches: int, count: int) -> None
 def touch(work: Path, split: str, *options: object, own: str = "", weights: tuple[object, ...] = ()) -> None:
     """Make touches by the published generator, with and without noise, and their depth."""
     learned = ("--optics", "cyclegan", *weights)
-    hows = {
+    renderings = {
         "truth": ("--optics", "depth"),
         "noisy": (*learned, "--sensor-noise", "calibrated"),
         "clean": learned,
     }
-    for name, how in hows.items():
+    for name, rendering in renderings.items():
         if (name, split) != ("clean", "train"):
             run(
                 "tactile_sim", "generate", work / f"digits-{split}", "--split", split, "--rounds", 1,
-                "--seed", 11, "--image-format", "png", *options, *how, "--out", work / f"{own}{name}-{split}",
+                "--seed", 11, "--image-format", "png", *options, *rendering,
+                "--out", work / f"{own}{name}-{split}",
             )  # fmt: skip
 
 
@@ -133,9 +134,9 @@ def moved(depth: NDArray[np.float32], down: int, right: int) -> NDArray[np.float
 def depth_again(weights: Path, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return the depth images that a file of weights reads from pictures, whatever size it was trained in."""
     read = read_weights(weights)
-    trained_in = scaled(pictures, read.size_px)
-    found = depth_from(make_generator(read), trained_in)
-    return np.stack([resized_depth(each, SIZE) for each in found])
+    in_trained_size = scaled(pictures, read.size_px)
+    depths = depth_from(make_generator(read), in_trained_size)
+    return np.stack([resized_depth(depth, SIZE) for depth in depths])
 
 
 def resized_depth(depth: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
@@ -148,17 +149,17 @@ def depth_errors(known: Known, work: Path) -> tuple[int, int]:
     trained = depth_again(work / "weights" / DEPTH_WEIGHTS, known.noisy)
     # Nothing in pictures that are not paired says that depth and relief lie at the same place.
     reach = range(-10, 11)
-    seen, held = slice(0, None, 2), slice(1, None, 2)
+    even, odd = slice(0, None, 2), slice(1, None, 2)
     moves = [(down, right) for down in reach for right in reach]
-    offs = [np.abs(moved(trained[seen], *move) - known.depth[seen]).mean() for move in moves]
+    offs = [np.abs(moved(trained[even], *move) - known.depth[even]).mean() for move in moves]
     best = moves[int(np.argmin(offs))]
-    for name, found, true in (
+    for name, estimate, truth in (
         ("trained", trained, known.depth),
-        (f"trained, moved by {best} pixels", moved(trained[held], *best), known.depth[held]),
+        (f"trained, moved by {best} pixels", moved(trained[odd], *best), known.depth[odd]),
         ("untrained", depth_again(work / "untrained.npz", known.noisy), known.depth),
         ("no contact anywhere", np.ones_like(known.depth), known.depth),
     ):
-        print_depth_error(name, found, true)
+        print_depth_error(name, estimate, truth)
     return best
 
 
@@ -167,18 +168,19 @@ def peer_errors(work: Path) -> None:
     known = Known(work, "own-")
     inverse = make_generator(read_weights(published_weights("depth")))
     for name, pictures in (("with noise", known.noisy), ("without noise", known.clean)):
-        found = depth_from(inverse, pictures)
-        print_depth_error(f"published inverse, 256 pixels, {name}", found, known.depth)
+        estimate = depth_from(inverse, pictures)
+        print_depth_error(f"published inverse, 256 pixels, {name}", estimate, known.depth)
 
 
-def print_depth_error(name: str, found: NDArray[np.float32], true: NDArray[np.float32]) -> None:
+def print_depth_error(name: str, estimate: NDArray[np.float32], truth: NDArray[np.float32]) -> None:
     """Print the mean distance of depth images from the truth, its standard error, and their correlation."""
     sensor = center_view(*SIZE)
-    off_um = 1e6 * (sensor.gel_m - sensor.press_m) * np.abs(found - true).mean(axis=(1, 2))
+    off_um = 1e6 * (sensor.gel_m - sensor.press_m) * np.abs(estimate - truth).mean(axis=(1, 2))
     error = off_um.std() / np.sqrt(len(off_um))
-    alike = np.corrcoef(found.ravel(), true.ravel())[0, 1] if np.ptp(found) else 0.0
+    alike = np.corrcoef(estimate.ravel(), truth.ravel())[0, 1] if np.ptp(estimate) else 0.0
     print(
-        f"depth of {len(true)} touches, {name}: {off_um.mean():.0f} ± {error:.0f} um, correlation {alike:.2f}"
+        f"depth of {len(truth)} touches, {name}: {off_um.mean():.0f} ± {error:.0f} um, "
+        f"correlation {alike:.2f}"
     )
 
 
@@ -191,8 +193,8 @@ def picture_errors(known: Known, work: Path, move: tuple[int, int]) -> None:
         for depth in (known.depth, back)
     )
     trained = CycleganOptics(work / "weights" / TOUCH_WEIGHTS)
-    seen = Pairs.open(str(work / "pairs-train"))
-    usual = np.median(seen.real.images(np.flatnonzero(seen.real.contact)), axis=0)
+    pairs = Pairs.open(str(work / "pairs-train"))
+    usual = np.median(pairs.real.images(np.flatnonzero(pairs.real.contact)), axis=0)
     # Where the gel is far from level; most of a picture is background.
     relief = np.abs(known.clean - np.median(known.clean, axis=0)).mean(axis=-1) > RELIEF_LEVELS
     for name, shown in (
@@ -212,18 +214,18 @@ def picture_errors(known: Known, work: Path, move: tuple[int, int]) -> None:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("work", type=Path)
-    asked.add_argument("--steps", type=int, default=STEPS)
-    options = asked.parse_args()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    options = parser.parse_args()
     work: Path = options.work
     work.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     arrays = read_weights(published_weights("touch")).arrays
     write_weights(open_folder(str(work)), "published.npz", GeneratorWeights(arrays, RENDERED))
-    for split, *each in SETS:
+    for split, *counts in SETS:
         if not (work / f"pairs-{split}" / "README.md").exists():
-            make(work, split, *each)
+            make(work, split, *counts)
     size = "{}x{}".format(*PUBLISHED_SIZE_PX)
     touch(work, "test", "--limit", PEER_OBJECTS, "--touches", SETS[1][2], "--size", size, own="own-")
     peer_errors(work)

@@ -44,7 +44,7 @@ def depth_maps_m(count: int) -> np.ndarray:
     return sensor.press_m + share * (sensor.gel_m - sensor.press_m)
 
 
-def seconds_each(jobs: list[Callable[[], object]], repeats: int) -> list[float]:
+def seconds_per_job(jobs: list[Callable[[], object]], repeats: int) -> list[float]:
     """Return the median processor time of jobs that take turns."""
     for job in jobs:
         job()
@@ -78,13 +78,13 @@ def main() -> None:
     for count in COUNTS:
         depths = depth_maps_m(count)
         jobs = [partial(renderer.render, depths, SIZE)]
-        jobs += [partial(each.shades, depths, sensor, SIZE) for each in optics.values()]
-        theirs_s, *ours_s = (each / count for each in seconds_each(jobs, options.repeats))
+        jobs += [partial(own.shades, depths, sensor, SIZE) for own in optics.values()]
+        theirs_s, *ours_s = (taken_s / count for taken_s in seconds_per_job(jobs, options.repeats))
         for name, own_s in zip(optics, ours_s, strict=True):
             what = f"an image of the published CycleGAN, {count} at a time, {name}; published"
             tell(f"{name}_{count}", what, own_s, "s", other=theirs_s, target="at least 1")
     touches = optics["float32"].render(depth_maps_m(4), sensor, (320, 240))
-    theirs_s, own_s = seconds_each(
+    theirs_s, own_s = seconds_per_job(
         [partial(estimator.estimate, touches, SIZE), partial(own_estimator.estimate_m, touches, SIZE)],
         options.repeats,
     )

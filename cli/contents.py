@@ -55,10 +55,10 @@ def _print_published(sink: output.Sink) -> None:
     documents = []
     rows = []
     for state in places.published_states():
-        known = state.known
+        known = state.published
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
         documents.append({**names, "citation": known.citation, **asdict(state)})
-        del documents[-1]["known"]
+        del documents[-1]["published"]
         there = "?" if state.hub_bytes is None else bytes_text(state.hub_bytes)
         here = "-"
         if state.local_bytes:

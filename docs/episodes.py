@@ -91,7 +91,7 @@ def _to_object(env: Any, info: dict[str, Any]) -> np.ndarray:
     """Return the way to the object in steps of the sensor."""
     place_m = env.current_object_poses_platform_frame.translation[0, :2]
     off_m = place_m - info["sensor_pose"][0, :2, 3]
-    step_m = env.config.longest_way(env.config.linear_velocity, env.config.linear_acceleration)
+    step_m = env.config.max_distance(env.config.linear_velocity, env.config.linear_acceleration)
     return np.append(off_m / step_m, 0.0)
 
 

@@ -26,7 +26,7 @@ _LARGEST = 1e6  # for numbers without a declared range
 STAR = "star"
 """The shape that is counted."""
 _PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
-_DEEPEST_NOTCH_SHARE = 0.99
+_SHALLOWEST_NOTCH_SHARE = 0.99
 
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
@@ -36,7 +36,7 @@ _MAX_RADIUS_M = 1.0
 _KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
 
 MAX_KEPT = 1_024
-"""Largest number of solids of shapes in memory."""
+"""Largest number of outlines and solids of shapes in memory, each."""
 
 
 def _within(published: float, least: float, most: float) -> Any:
@@ -132,11 +132,11 @@ class Star(Proportions):
         # super() without arguments fails in a dataclass with slots.
         Proportions.__post_init__(self)
         # At a share of 1, a notch lies on the line between its two tips.
-        deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
-        if self.inner_ratio > deepest:
+        most = _SHALLOWEST_NOTCH_SHARE * math.cos(math.pi / self.points)
+        if self.inner_ratio > most:
             raise InputError(
-                f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {deepest:.4g} with "
-                f"{self.points} points, so that notches lie between the tips",
+                f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {most:.4g} with "
+                f"{self.points} points, so that notches lie inside the lines between tips",
                 next="lower inner_ratio (--star-inner-mm)",
             )
 
@@ -286,8 +286,8 @@ def kind_named(name: str) -> type[Proportions]:
     return KINDS[name]
 
 
-# Placeholder for the default proportions of the kind, which is known once its name is looked up.
-_OF_THE_KIND = Proportions()
+# Stands for the default proportions of a kind, which is known once its name is looked up.
+_DEFAULT_PROPORTIONS = Proportions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,12 +322,12 @@ class Shape:
 
     name: str
     radius_m: float = PUBLISHED_RADIUS_M
-    proportions: Proportions = _OF_THE_KIND
+    proportions: Proportions = _DEFAULT_PROPORTIONS
     key: str = field(init=False, repr=False, compare=False, default="")
 
     def __post_init__(self) -> None:
         kind = kind_named(self.name)
-        if self.proportions is _OF_THE_KIND:
+        if self.proportions is _DEFAULT_PROPORTIONS:
             object.__setattr__(self, "proportions", kind())
         if type(self.proportions) is not kind:
             raise InputError(
@@ -390,7 +390,7 @@ def shape_key(proportions: Proportions) -> str:
     return f"{proportions.name}({stated})"
 
 
-@lru_cache(1_024)
+@lru_cache(MAX_KEPT)
 def outline(key: str) -> Outline:
     """Return the rings that a :func:`shape_key` names, read-only, in circumscribed radii.
 

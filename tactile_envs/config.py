@@ -134,10 +134,11 @@ class EpisodeConfig:
         """Options of networks."""
         return {"device": self.network_device, "bfloat16": self.network_bfloat16}
 
-    def longest_way(self, velocity: float, acceleration: float) -> float:
+    def max_distance(self, velocity: float, acceleration: float) -> float:
         """Return the greatest distance between touches, in the unit of the velocity.
 
-        The speed has a trapezoidal profile: constant acceleration, constant velocity, constant braking.
+        As published, it is the distance of the first half of ``transfer_timedelta_s``: constant acceleration
+        up to the velocity, which is kept. The second half, of braking, is not counted.
         """
         half_s = self.transfer_timedelta_s / 2
         ramp_s = min(velocity / acceleration, half_s)
@@ -179,7 +180,8 @@ class Config(EpisodeConfig):
         of the thickness. Without a force, it stops where the highest point is pressed in by ``gel_thickness``
         less ``penetration_depth``.
     penetration_depth_reduction_std : float
-        Standard deviation of the normal number whose magnitude is added to the observed height, metres.
+        Standard deviation of a normal distribution, metres. The magnitude of a sample of it is added to the
+        observed height.
     max_platform_penetration : float, optional
         Greatest depth to which the plate presses into the gel, metres.
     sensor_noise : tactile_sim.SensorNoise, str, path or mapping, optional
@@ -195,8 +197,8 @@ class Config(EpisodeConfig):
     snap_touch_positions : int, optional
         Number of random positions; the sensor goes to the one nearest to its target.
     depth_in_info : bool
-        Whether to give ``info["depth"]``, metres, float32, which takes as much memory as an image. The
-        published environments have no such setting, and always give it.
+        Whether to give ``info["depth"]``, metres, float32, which takes a third of the memory of an image in
+        colour. The published environments have no such setting, and always give it.
     """
 
     perturb_object_pose: bool = checked_fields.switch(True)
@@ -276,7 +278,7 @@ class Config(EpisodeConfig):
 
     @property
     def least_height_m(self) -> float:
-        """Least height of the sensor: the gel reaches from there to the plate, metres."""
+        """Least height of the sensor over the plate, metres; ``-inf`` without a limit."""
         if self.max_platform_penetration is None:
             return -inf
         return self.gel_thickness - self.max_platform_penetration

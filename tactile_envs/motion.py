@@ -61,7 +61,7 @@ class Motion:
         reach_m = np.array(config.cell_size) / 2 - np.array(config.cell_padding)
         low_m = np.array([*-reach_m, 0.0])
         high_m = np.array([*reach_m, _TOP_M])
-        longest_m = config.longest_way(config.linear_velocity, config.linear_acceleration)
+        longest_m = config.max_distance(config.linear_velocity, config.linear_acceleration)
         costs = [longest_m, config.action_regularization]
         return cls(low_m, high_m, np.concatenate([low_m, high_m, costs]))
 

@@ -1,6 +1,6 @@
 """Touches by tilted sensors, in numba kernels: meshes are seen along the axis of a sensor.
 
-A sensor is tilted by at most 45 degrees: its window sees a few cells of a mesh's grid only.
+A sensor is tilted by at most 45 degrees: its window sees only a few cells of the grid of a mesh.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TiltedScene(mesh_scene.MeshScene):
         self, config: Config, records: object_sets.Objects, num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, records, num_envs, threads, camera)
-        widest_rad = config.longest_way(config.angular_velocity, config.angular_acceleration)
+        widest_rad = config.max_distance(config.angular_velocity, config.angular_acceleration)
         self._limits = np.array([widest_rad, config.max_tilt_angle])
         box = partial(trimesh.creation.box, (*config.cell_size, _PLATE_M))
         self._plate = mesh_pool.MeshPool.packed([LazyMesh(0, 0, box)], config.max_tilt_angle)

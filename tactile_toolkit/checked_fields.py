@@ -1,4 +1,4 @@
-"""Fields of specifications that state their valid values, one check of all, and their options.
+"""Fields of specifications that state their valid values, one check for all of them, and their options.
 
 A frozen dataclass declares ``steps: int = integer(100, least=1, help="Total number of steps.")`` and calls
 :func:`check_fields` in its ``__post_init__``, which also normalizes values to Python's own numbers and
@@ -24,7 +24,7 @@ _RULE = "rule"
 _MAX_INTEGER = (1 << 63) - 1
 _MAX_ENTRIES = 1 << 20  # of an iterator, which cannot state its length
 _MAX_ARRAY = 1 << 24
-_UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
+_UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_kg_m3": "KG/M3"}
 _PLACEHOLDERS: dict[type, str] = {float: "X"}
 Declared: TypeAlias = Any
 """A field of a dataclass as it is declared: of whatever type it is annotated with."""
@@ -224,20 +224,19 @@ def split_counts(
 
 
 def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:
-    """Return a value with tuples for all iterables and Python's numbers for all numbers.
+    """Return a value with tuples for iterables and Python's numbers for all numbers.
 
-    With ``kind`` ``float``, integers become floats; with ``int`` numbers keep their kind. A value that is
-    neither a number nor an iterable is returned unchanged, for the checks that follow, as is an array of
-    too many entries.
+    With ``kind`` ``float``, integers become floats; with ``int`` numbers keep their kind. Texts,
+    mappings, other objects and arrays of too many entries are returned unchanged, for the checks that follow.
     """
     too_many = math.prod(getattr(value, "shape", ())) > _MAX_ARRAY
     if too_many or isinstance(value, (str, bytes, Mapping)):
         return value
-    # An array without dimensions is a number, although its type is iterable.
     if isinstance(value, Iterator):
         value = list(islice(value, _MAX_ENTRIES + 1))
         if len(value) > _MAX_ENTRIES:  # it may be endless
             raise errors.InputError(f"an iterator of more than {_MAX_ENTRIES:,} values", next="give a list")
+    # An array without dimensions is a number, although its type is iterable.
     if isinstance(value, Iterable) and getattr(value, "ndim", None) != 0:
         return tuple(to_builtin(entry, kind) for entry in value)
     return to_builtin_number(value, kind)

@@ -1,6 +1,6 @@
 """Checks the built site: ``python -m tests.site docs/_build/html``.
 
-Every internal link leads to a page and a place on it, no page fetches anything from other sites, and the
+Every internal link leads to a page and an anchor on it, no page fetches anything from other sites, and the
 search finds a function, all from the file system.
 """
 
@@ -19,20 +19,20 @@ FETCHED = {("img", "src"), ("script", "src"), ("link", "href")}
 
 
 class Page(HTMLParser):
-    """The links of a page, its fetched files, and the places on it."""
+    """The links of a page, its fetched files, and its anchors."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.links: list[str] = []
         self.fetched: list[str] = []
-        self.places: set[str] = set()
+        self.anchors: set[str] = set()
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        found = {name: value or "" for name, value in attributes}
-        self.places |= {found.get("id", ""), found.get("name", "")}
-        for name, value in found.items():
-            if (tag, name) in FETCHED and found.get("rel") != "canonical":
+        values = {name: value or "" for name, value in attributes}
+        self.anchors |= {values.get("id", ""), values.get("name", "")}
+        for name, value in values.items():
+            if (tag, name) in FETCHED and values.get("rel") != "canonical":
                 self.fetched.append(value)
             elif (tag, name) == ("a", "href"):
                 self.links.append(value)
@@ -41,19 +41,19 @@ class Page(HTMLParser):
 def broken(site: Path) -> list[str]:
     """List broken links, and files that are fetched from other sites."""
     pages = {path: Page(path) for path in site.rglob("*.html") if "_static" not in path.parts}
-    found = []
+    problems = []
     for path, page in pages.items():
-        found += [f"{path}: fetches {url}" for url in page.fetched if urlsplit(url).netloc]
+        problems += [f"{path}: fetches {url}" for url in page.fetched if urlsplit(url).netloc]
         for link in (*page.links, *page.fetched):
             parts = urlsplit(link)
             if parts.scheme or parts.netloc:
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.exists():
-                found.append(f"{path}: {link}: no such file")
-            elif target in pages and parts.fragment and unquote(parts.fragment) not in pages[target].places:
-                found.append(f"{path}: {link}: no such place")
-    return found
+                problems.append(f"{path}: {link}: no such file")
+            elif target in pages and parts.fragment and unquote(parts.fragment) not in pages[target].anchors:
+                problems.append(f"{path}: {link}: no such anchor")
+    return problems
 
 
 def search(site: Path, words: str) -> list[str]:
@@ -72,11 +72,11 @@ def search(site: Path, words: str) -> list[str]:
 def main() -> None:
     """Check a site; end with a list of problems."""
     site = Path(sys.argv[1]).resolve()
-    found = broken(site)
+    problems = broken(site)
     if not any("solidify" in title for title in search(site, "solidify")):
-        found.append("the search does not find solidify")
-    if found:
-        sys.exit("\n".join(found))
+        problems.append("the search does not find solidify")
+    if problems:
+        sys.exit("\n".join(problems))
 
 
 if __name__ == "__main__":

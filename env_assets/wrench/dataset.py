@@ -18,7 +18,7 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
 
-# Sides of a full circle: 0.03 mm from round at 60 mm across, less than a printer can show.
+# Sides of a full circle: 0.02 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96
 # Corners that deviate less than this from a straight line are dropped.
 _TIDY_MM = 1e-3
@@ -74,7 +74,7 @@ def check_content(
 
 
 class WrenchRow(mesh.MeshRow):
-    """One wrench; columns in mm and degrees are lengths of its specification."""
+    """One wrench; columns in mm and degrees are values of its specification."""
 
     id: int = rows.column(pa.int64(), "", "0")
     label: int = rows.column(pa.int64(), "", "the one class")
@@ -258,9 +258,9 @@ def _jaw(opening_mm: float, clearance_mm: float, length_mm: float) -> CrossSecti
     width_mm = opening_mm + clearance_mm
     # Not by numpy's cosine, which processors round differently: the bytes are the same on all.
     corners = width_mm / math.sqrt(3) * np.array([cosine_sine(math.tau * side / 6) for side in range(6)])
-    way_out = CrossSection.square((length_mm, width_mm)).translate((0.0, -width_mm / 2))
+    channel = CrossSection.square((length_mm, width_mm)).translate((0.0, -width_mm / 2))
     # A round root breaks less easily than a sharp one, and a printer rounds it anyway.
-    return _opened(CrossSection([corners]) + way_out, 0.1 * opening_mm)
+    return _opened(CrossSection([corners]) + channel, 0.1 * opening_mm)
 
 
 def _opened(shape: CrossSection, radius_mm: float) -> CrossSection:
@@ -309,13 +309,13 @@ def _sides(lines: Sequence[Float64], levels: int) -> list[Int64]:
     triangles = []
     start = 0
     for line in lines:
-        here = start + np.arange(len(line))
-        after = np.roll(here, -1)
+        corners = start + np.arange(len(line))
+        following = np.roll(corners, -1)
         for level in range(levels - 1):
             low = level * per_level
             high = (level + 1) * per_level
-            triangles.append(np.stack([here + low, after + low, after + high], axis=1))
-            triangles.append(np.stack([here + low, after + high, here + high], axis=1))
+            triangles.append(np.stack([corners + low, following + low, following + high], axis=1))
+            triangles.append(np.stack([corners + low, following + high, corners + high], axis=1))
         start += len(line)
     return triangles
 

@@ -63,11 +63,11 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
     folder.require_folder()
     settings = {"config": config.to_dict(), "pairs": pairs}
     if folder.exists(SETTINGS):
-        there = store.decode(folder.read_bytes(SETTINGS), _Settings, folder.address(SETTINGS))
+        existing = store.decode(folder.read_bytes(SETTINGS), _Settings, folder.address(SETTINGS))
         # Compared as they would be read back: tuples become lists.
-        asked = json.loads(json.dumps(settings))
-        stored = {**there.config, "pairs": there.pairs}
-        for name, value in {**asked["config"], "pairs": asked["pairs"]}.items():
+        requested = json.loads(json.dumps(settings))
+        stored = {**existing.config, "pairs": existing.pairs}
+        for name, value in {**requested["config"], "pairs": requested["pairs"]}.items():
             if stored.get(name) != value:
                 raise errors.SpecMismatchError(
                     f"{folder.address()!r} holds a training with other settings: {name} is "
@@ -78,10 +78,10 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
         return
     others = [name for name in folder.names() if not store.is_hidden(name)]
     if resume or others:
-        held = "".join(f" (found {name!r})" for name in others[:1])
+        example = "".join(f" (found {name!r})" for name in others[:1])
         raise errors.InputError(
-            f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
-            next="leave out --resume, and choose an empty or new folder (--out)",
+            f"{folder.address()!r} holds no training to continue{example}; nothing was changed",
+            next=f"{'leave out --resume, and ' if resume else ''}choose an empty or new folder (--out)",
         )
     folder.write_bytes(SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
 
@@ -140,6 +140,8 @@ def train(
     ------
     InputError
         An argument cannot be used, or a package is not installed.
+    BusyError
+        Another training writes to the folder.
     SpecMismatchError, IntegrityError, StorageError, ToolkitError
         The folder holds a training with other settings; checkpoint or training set are damaged; the folder
         cannot be written; a loss is no longer finite. The last checkpoint stays.
@@ -282,9 +284,9 @@ class _Training:
         self.folder.write_bytes(f"samples/step-{done:07d}.png", self._sheet())
 
     def _sheet(self) -> bytes:
-        """Draw the first images with contact of both kinds, generated from each other and back."""
+        """Draw some images with contact of both kinds, generated from each other and back."""
         depth, touch = (
-            domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
+            domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8])
             for domain in (self.data.depth, self.data.real)
         )
         networks = self.model.networks

@@ -29,8 +29,8 @@ def rasterise(
     the window is left out. ``affine``, shape (3, 4), maps a vertex to column, row counted from the bottom,
     both in pixels whose points have integer coordinates, and height. ``layers`` are those of a printed solid
     (:meth:`tactile_sim.Pressable.layers`), None for a solid as it was modelled, for which numba compiles a
-    kernel without them. Only sums, products, quotients and comparisons of IEEE doubles are used, which every
-    processor rounds alike.
+    kernel without them. Only sums, products, quotients, square roots and comparisons of IEEE doubles are
+    used, which every processor rounds alike.
     """
     rows, columns = out.shape
     per_block = (len(faces) + len(blocks) - 1) // len(blocks)

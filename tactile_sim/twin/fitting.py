@@ -36,8 +36,8 @@ _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of the position, of the entries of steepness and of depth.
 _TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
-_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
-_NO_WORSE = 1.001  # ratio of the costs after and before
+_STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
+_NO_WORSE = 1.001  # largest ratio of the costs after and before
 ALIKE_PX = 200.0
 """Number of pixels whose residuals are correlated, so that they count as one."""
 
@@ -182,9 +182,10 @@ class Fit:
         return base, residuals, weights
 
     def step(self, moving: tuple[Fitted, ...] = ()) -> float:
-        """Take a step and return how far the geometry moved, in parts of its expected spread.
+        """Take a step, and return how far the whole step moves the geometry, in parts of its expected spread.
 
-        The response always changes. If any of the geometry is ``moving``, the poses move too.
+        Less than the whole step is taken if the images would get worse. The response always changes. If any
+        of the geometry is ``moving``, the poses move too.
         """
         sums = _Sums(len(self.poses))
         cost = sum(self._add(sums, touch, moving) for touch in np.flatnonzero(self.used).tolist())
@@ -194,9 +195,9 @@ class Fit:
         self.shape = np.clip(self.shape + moved[:_SHARED], gel.LEAST, gel.MOST)
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
         after = self.shape, self.poses, self.coefficients
-        for share in _SHARES:
+        for factor in _STEP_FACTORS:
             self.shape, self.poses, self.coefficients = (
-                old + share * (new - old) for old, new in zip(before, after, strict=True)
+                old + factor * (new - old) for old, new in zip(before, after, strict=True)
             )
             if self._cost() <= _NO_WORSE * cost:
                 break

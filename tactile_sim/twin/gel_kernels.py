@@ -72,9 +72,9 @@ def sample_relief(
     ``out``, shape (H, W), first row at the greatest y; ``relief``, shape (rows, columns), heights in metres,
     first row at the least y, with the values of its edge repeated outside; ``corner`` x and y of its first
     point and the distances of its points along x and y, metres. Pixels lie at -1 to 1 across the image, times
-    ``span``, which is less than 1 for a part of it, with y upwards. ``lens`` is the radial term of the lens:
-    at the corners of the image, positions are farther out by this share. ``affine``, shape (2, 3), maps a
-    position to x and y.
+    ``span``, which is less than 1 for a part of it and more with a margin, with y upwards. ``lens`` is the
+    radial term of the lens: at the corners of the image, positions are farther out by this share. ``affine``,
+    shape (2, 3), maps a position to x and y.
     """
     rows, columns = out.shape
     high, wide = relief.shape

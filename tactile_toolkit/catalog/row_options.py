@@ -13,12 +13,12 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import comma_separated
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
-GivenId: TypeAlias = int | str | tuple[int, int]
+IdOrRange: TypeAlias = int | str | tuple[int, int]
 """An id, or the first and the last id of a range."""
-IdChoice: TypeAlias = Sequence[GivenId]
+IdChoice: TypeAlias = Sequence[IdOrRange]
 
 
-def parse_ids(text: str) -> list[GivenId]:
+def parse_ids(text: str) -> list[IdOrRange]:
     """Read ids such as ``3,17,40-60``: numbers, ranges, and other words unchanged.
 
     Ranges are not expanded, because most of their numbers may belong to no row. Raises InputError for an
@@ -27,14 +27,14 @@ def parse_ids(text: str) -> list[GivenId]:
     return [_as_id(word.strip()) for word in text.split(",")]
 
 
-def _as_id(word: str) -> GivenId:
+def _as_id(word: str) -> IdOrRange:
     if not word:
         raise InputError("has ''; expected ids such as 3,17,40-60", field="ids")
     try:
         low, high = id_range(word)
     except InputError:
         return word
-    choice: GivenId = low
+    choice: IdOrRange = low
     if "-" in word[1:]:
         choice = (low, high)
     # 007 is the number 7, but a different text.
@@ -43,8 +43,8 @@ def _as_id(word: str) -> GivenId:
     return word
 
 
-def id_range(choice: GivenId) -> tuple[int, int]:
-    """Return the first and the last number of a given id; InputError for other text."""
+def id_range(choice: IdOrRange) -> tuple[int, int]:
+    """Return the first and the last number of an id or a range; InputError for other text."""
     if not isinstance(choice, str):
         ends = choice if isinstance(choice, tuple) else (choice, choice)
         if len(ends) != 2 or not is_integer(*ends):
@@ -62,16 +62,16 @@ def id_range(choice: GivenId) -> tuple[int, int]:
     return int(match[1]), int(match[2] or match[1])
 
 
-def id_text(choice: GivenId) -> str:
-    """Return a given id as text: where ids are texts, ``2024-01`` is not a range."""
+def id_text(choice: IdOrRange) -> str:
+    """Return an id or a range as text: where ids are texts, ``2024-01`` is not a range."""
     if isinstance(choice, tuple):
         return "-".join(map(str, choice))
     return str(choice)
 
 
-# Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
 ROWS = "Rows"
 """Panel of the help for options that choose rows."""
+# Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
 SPLIT = text(metavar="NAME", panel=ROWS, help="Only this split; all by default.")
 LIMIT = integer(None, 1, optional=True, panel=ROWS, help="Only the first N rows of each split.")
 PER_CLASS = integer(None, 1, optional=True, panel=ROWS, help="Only the first N of each class, in each split.")

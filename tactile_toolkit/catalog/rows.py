@@ -15,7 +15,7 @@ import numpy as np
 
 from tactile_toolkit import checked_fields, mesh, places, read, run, store
 from tactile_toolkit.array_types import Bool, Int64
-from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_text
+from tactile_toolkit.catalog.row_options import IdChoice, IdOrRange, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.read import record
@@ -102,7 +102,7 @@ def choose_rows(
     return choices
 
 
-def _with_id(rows: Any, choice: GivenId) -> Bool:
+def _with_id(rows: Any, choice: IdOrRange) -> Bool:
     """Return a mask of the rows with a given id, or one in a given range: of the object, or of the row."""
     values = rows.object_ids
     if isinstance(choice, str) and rows.ids.dtype.kind not in "iuf":

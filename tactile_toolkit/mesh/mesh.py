@@ -182,7 +182,7 @@ class Mesh:
         return part
 
     def crossing_mm(self, bodies: int) -> Float64 | None:
-        """Return a point, shape (3,), where the surface of one of ``bodies`` crosses itself, or None."""
+        """Return a point, shape (3,), where one of this number of bodies crosses itself, or None."""
         # numba takes half a second to import.
         from tactile_toolkit.mesh.crossings import self_crossing
 
@@ -198,7 +198,7 @@ class Mesh:
 
 
 def placed(surface: Surface, turn: Float64, shift: Float64) -> Surface:
-    """Return a surface times a matrix (3, 3) from the right, and shifted; a mirrored one is turned back."""
+    """Return a surface times a matrix (3, 3) from the right, and shifted; a mirror reverses the faces."""
     vertices, faces = surface
     if np.linalg.det(turn) < 0:
         faces = faces[:, ::-1]
@@ -254,9 +254,9 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
     group = csgraph.connected_components(graph, directed=False)[1]
     first = np.full(len(torn), len(vertices))
     np.minimum.at(first, group, torn)
-    moved = np.arange(len(vertices))
-    moved[torn] = first[group]
-    corners = moved[faces]
+    numbers = np.arange(len(vertices))
+    numbers[torn] = first[group]
+    corners = numbers[faces]
     corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
     if not len(corners) or not _is_closed(corners, len(vertices)):
         return Mesh(vertices, faces)
@@ -264,7 +264,7 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
     # A single distant corner would make others count as near, and weld unrelated parts.
     if (np.abs(np.ptp(vertices[used], axis=0) - np.ptp(vertices, axis=0)) > 2 * reach_m).any():
         return Mesh(vertices, faces)
-    count = int((moved != np.arange(len(vertices))).sum())
+    count = int((numbers != np.arange(len(vertices))).sum())
     kept = corners_used.reshape(-1, 3).astype(np.int32)
     return Mesh(vertices[used], kept, (f"{with_count(count, 'corners')} welded",))
 

@@ -1,6 +1,6 @@
 """The data set that a name refers to: its kind, its splits and their shards, and whether it is finished.
 
-All that takes the name of a data set (loaders, commands, copies, environments) takes a :class:`Place` from
+Whatever takes the name of a data set (loaders, commands, copies, environments) takes a :class:`Place` from
 :func:`~tactile_toolkit.places.open_place`. So these facts are decided once, from the data.
 """
 
@@ -66,7 +66,7 @@ class Place:
     is_file: bool = False
     allow_incomplete: bool = False
     config: str | None = None
-    _found: dict[tuple[str, bool], tuple[read.Shard, ...]] = field(
+    _shards: dict[tuple[str, bool], tuple[read.Shard, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -137,7 +137,7 @@ class Place:
         return None if repository is None else kind_of_published(repository.repo_id)
 
     def choose_kind(self, name: str | None = None) -> DatasetKind:
-        """Return the kind, or the one of this name where the columns fit several kinds or an own one.
+        """Return the named kind if the columns fit it; without a name, the recognised one.
 
         Raises InputError if the kind is not known and none is named, and if the named one does not fit.
         """
@@ -165,7 +165,7 @@ class Place:
         )
 
     def _first_shard(self) -> read.Shard:
-        shards = next(iter(self._found.values()), None)
+        shards = next(iter(self._shards.values()), None)
         return (shards or self.shards(self.splits[0]))[0]
 
     def require(self, kind: DatasetKind, asked: str = "", shard: read.Shard | None = None) -> Place:
@@ -258,7 +258,7 @@ class Place:
         return self
 
     def require_finished(self, wrong: Sequence[str]) -> None:
-        """Raise UnfinishedError if all that a check found is that the run is not finished.
+        """Raise UnfinishedError if the only finding of a check is that the run is not finished.
 
         ``wrong`` are the files of all findings.
         """
@@ -266,7 +266,7 @@ class Place:
             raise errors.UnfinishedError(*self._not_finished_words(may_take=False))
 
     def require_manifest(self, kind: DatasetKind) -> store.Manifest:
-        """Return the manifest of a finished folder of a kind.
+        """Return the manifest of a finished folder; ``kind`` is for the message.
 
         Raises
         ------
@@ -347,11 +347,11 @@ class Place:
             self.require(kind)
             self._refuse_files_for_others()
         chosen = self.split(split)
-        if (chosen, streaming) not in self._found:
-            self._found[chosen, streaming] = self._find(chosen, streaming)
+        if (chosen, streaming) not in self._shards:
+            self._shards[chosen, streaming] = self._find(chosen, streaming)
         if kind is not None:
-            self.require(kind, shard=self._found[chosen, streaming][0])
-        return self._found[chosen, streaming]
+            self.require(kind, shard=self._shards[chosen, streaming][0])
+        return self._shards[chosen, streaming]
 
     def all_shards(self) -> dict[str, tuple[read.Shard, ...]]:
         """Return the shards of all splits."""
@@ -363,7 +363,7 @@ class Place:
             return set().union(*(part.fetched_paths() for part in self.source))
         if self.repository is None:
             return set()
-        return {shard.path for shards in self._found.values() for shard in shards}
+        return {shard.path for shards in self._shards.values() for shard in shards}
 
     def _find(self, split: str, streaming: bool) -> tuple[read.Shard, ...]:
         if isinstance(self.source, tuple):
@@ -471,9 +471,9 @@ def require_kind(held: DatasetKind, kind: DatasetKind, name: str, asked: str = "
 
 
 def wrong_kind(held: DatasetKind, name: str, asked: str, content: str) -> errors.InputError:
-    """Return the error for data of a kind; ``asked``, a command or function, is for other ``content``."""
+    """Return the error for data of a kind; ``asked``, a command or option, is for other ``content``."""
     next_step = f"use {held.package}.load({name!r})"
-    if " " in asked:
+    if " " in asked or asked.startswith("-"):
         next_step = f"show what it holds with `tactile info {shlex.quote(name)}`"
     return errors.InputError(f"{name!r} holds {held.content}; `{asked}` is for {content}", next=next_step)
 
@@ -493,9 +493,10 @@ def kind_of_published(name: str) -> DatasetKind | None:
 def find_repository(
     name: str, revision: str | None = None, on_wait: Callable[[str], None] = lambda _: None
 ) -> hub.HubRepository:
-    """Look up a repository by its name, or the short name of a published set; asks the Hub patiently.
+    """Look up a repository by its name, or the short name of a published set.
 
-    Raises InputError for other names, and for a part of a repository; HubError as the Hub answers.
+    Asks again after transient failures. Raises InputError for other names, and for a part of a repository;
+    HubError as the Hub answers.
     """
     named = named_on_hub(name, revision)
     if named.path:
@@ -527,7 +528,7 @@ class PublishedState:
     ``hub_bytes`` is None if the Hub does not answer. ``local_splits`` have files in the cache.
     """
 
-    known: PublishedSet
+    published: PublishedSet
     licence: str | None
     hub_bytes: int | None
     local_bytes: int

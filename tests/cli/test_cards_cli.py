@@ -1,4 +1,4 @@
-"""``card`` of all command lines, and that every line of code in a card works."""
+"""``tactile card`` for most kinds of data sets, and that every line of code in a card works."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
 
 
-def _per_touch_poses(row: dict, index: int) -> None:
+def _per_touch_poses(row: dict) -> None:
     count = len(row["pos_in_cell"])
     for part in ("position", "quaternion"):
         row[f"info.object_pose.{part}"] = [row[f"info.object_pose.{part}"]] * count
@@ -29,7 +29,7 @@ def _per_touch_poses(row: dict, index: int) -> None:
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory, digits_set, scenes_set) -> dict[str, Path]:
-    """A small data set of each kind."""
+    """A small data set for each of :data:`KINDS`."""
     root = tmp_path_factory.mktemp("kinds")
     truth = [factories.make_round(index, 4, (64, 48)) for index in range(3)]
     single, seq = root / "from-single", root / "from-seq"
@@ -52,8 +52,8 @@ def _write_synthetic(folder: Path, rows: list[dict]) -> None:
         features[f"info.object_pose.{part}"] = datasets.List(
             datasets.List(datasets.Value("float64"), length=width), length=4
         )
-    for index, row in enumerate(rows):
-        _per_touch_poses(row, index)
+    for row in rows:
+        _per_touch_poses(row)
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -89,14 +89,14 @@ def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folder
 @pytest.mark.one_at_a_desk
 def test_datasets_follows_the_card(folders, kind):
     loaded = datasets.load_dataset(str(folders[kind]))
-    told = DatasetCard(card_of(folders[kind])).data.dataset_info
-    assert {split["name"]: split["num_examples"] for split in told["splits"]} == {
+    stated = DatasetCard(card_of(folders[kind])).data.dataset_info
+    assert {split["name"]: split["num_examples"] for split in stated["splits"]} == {
         name: len(rows) for name, rows in loaded.items()
     }
-    assert told["features"] == next(iter(loaded.values())).info._to_yaml_dict()["features"]
+    assert stated["features"] == next(iter(loaded.values())).info._to_yaml_dict()["features"]
     shards = (folders[kind] / "data").iterdir()
-    assert told["download_size"] == sum(file.stat().st_size for file in shards)
-    assert told["dataset_size"] == sum(split["num_bytes"] for split in told["splits"])
+    assert stated["download_size"] == sum(file.stat().st_size for file in shards)
+    assert stated["dataset_size"] == sum(split["num_bytes"] for split in stated["splits"])
     streamed = datasets.load_dataset(str(folders[kind]), streaming=True)
     assert set(streamed) == set(loaded)
 

@@ -34,12 +34,12 @@ def test_one_file_per_object(digits_set: Path, tmp_path: Path, capsys: pytest.Ca
 def test_other_formats_and_scales(digits_set: Path, tmp_path: Path) -> None:
     """``printing/test_singles.py`` tests that each format is read back."""
     choice = ("--split", "test", "--labels", "3", "--quiet")
-    assert call("tactile", "export", digits_set, *choice, "--out", tmp_path / "one") == 0
-    options = ("--format", "ply", "--scale", "1.5", "--out", tmp_path / "other")
+    assert call("tactile", "export", digits_set, *choice, "--out", tmp_path / "stl") == 0
+    options = ("--format", "ply", "--scale", "1.5", "--out", tmp_path / "ply")
     assert call("tactile", "export", digits_set, *choice, *options) == 0
-    (one,), (other,) = (list((tmp_path / name).iterdir()) for name in ("one", "other"))
-    assert other.suffix == ".ply"
-    sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (one, other)]
+    (stl,), (ply,) = (list((tmp_path / name).iterdir()) for name in ("stl", "ply"))
+    assert ply.suffix == ".ply"
+    sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (stl, ply)]
     assert sizes[1] == pytest.approx(sizes[0] * 1.5, rel=1e-4)
 
 
@@ -47,17 +47,17 @@ def test_bodies_have_the_density_and_the_friction_asked_for(digits_set: Path, tm
     digits = mnist3d.load(digits_set, "test")
     (digit,) = digits[digits.labels == 3]
     material = ("--density-kg-m3", 500, "--friction", 0.25)
-    found = {}
+    documents = {}
     for ending, suffix in (("mjcf", "xml"), ("urdf", "urdf")):
         out = tmp_path / ending
         options = ("--ids", digit.id, *material, "--format", ending, "--out", out, "-q")
         assert call("tactile", "export", digits_set, *options) == 0
         (file,) = out.rglob(f"*.{suffix}")
-        found[ending] = ElementTree.parse(file)
+        documents[ending] = ElementTree.parse(file)
     exact = digit.mesh.copy()
     exact.density = 500
     (inertial,), (mass,), (turning,), (contact,) = (
-        found[ending].iter(tag)
+        documents[ending].iter(tag)
         for ending, tag in (
             ("mjcf", "inertial"), ("urdf", "mass"), ("urdf", "inertia"), ("urdf", "lateral_friction"),
         )
@@ -68,9 +68,11 @@ def test_bodies_have_the_density_and_the_friction_asked_for(digits_set: Path, tm
         (mass.attrib["value"], [turning.attrib[name] for name in axes]),
     ):
         assert float(mass_kg) == pytest.approx(exact.mass, rel=1e-3)
-        inertia = [exact.moment_inertia[place] for place in axes.values()]
+        inertia = [exact.moment_inertia[axis] for axis in axes.values()]
         assert list(map(float, moments)) == pytest.approx(inertia, rel=1e-3, abs=1e-4 * max(inertia))
-    frictions = {geom.get("friction", "none").split()[0] for geom in found["mjcf"].iter("geom")} - {"none"}
+    frictions = {geom.get("friction", "none").split()[0] for geom in documents["mjcf"].iter("geom")} - {
+        "none"
+    }
     assert {contact.attrib["value"], *frictions} == {"0.25"}
 
 
@@ -146,9 +148,9 @@ def test_broken_meshes_are_named_and_the_rest_is_written(
     table = parquet.ParquetFile(source).read(use_threads=False)
     faces = table.column("mesh.faces").to_pylist()
     faces[4] = faces[4][3:]
-    place = table.schema.get_field_index("mesh.faces")
-    kind = table.schema.field(place)
-    broken = table.set_column(place, kind, pa.array(faces, kind.type))
+    column = table.schema.get_field_index("mesh.faces")
+    kind = table.schema.field(column)
+    broken = table.set_column(column, kind, pa.array(faces, kind.type))
     parquet.write_table(broken, tmp_path / "broken.parquet")
     name = f"train-{table['label'][4].as_py()}-{table['id'][4].as_py():05d}"
     for plate in ((), ("--plate", "250x250")):
@@ -171,7 +173,7 @@ def test_tables_for_other_libraries(
     words = ("--format", "flat", "--out", out, "--workers", "1", "--json", "-q")
     assert call("tactile", "export", digits_set, *words) == 0
     made = json.loads(capsys.readouterr().out)["splits"]
-    assert {split: each["rows"] for split, each in made.items()} == {"test": 10, "holdout": 10}
+    assert {split: facts["rows"] for split, facts in made.items()} == {"test": 10, "holdout": 10}
     digits = mnist3d.load(digits_set, split="test")
     plain = ["id", "label", "label_name", "writer", "volume_m3", "source", "size_x_m", "size_y_m", "size_z_m"]
     frame = pd.read_parquet(out / "data" / "test-00000-of-00001.parquet")
@@ -184,8 +186,8 @@ def test_tables_for_other_libraries(
     assert frame.label_name.tolist() == [digits.label_names[label] for label in digits.labels]
     for digit, row, file in zip(digits, rows, frame.mesh, strict=True):
         assert (row["id"], row["label"], row["volume_m3"]) == (digit.id, digit.label, digit.volume_m3)
-        found = trimesh.load_mesh(io.BytesIO(file["bytes"]), file_type="glb")
-        for mesh in (found, row["mesh"].to_mesh()):
+        stored = trimesh.load_mesh(io.BytesIO(file["bytes"]), file_type="glb")
+        for mesh in (stored, row["mesh"].to_mesh()):
             x, up, back = np.asarray(mesh.vertices).T  # glTF has y up, and -z points away
             np.testing.assert_array_equal(np.stack([x, -back, up], axis=1), digit.vertices_m)
             np.testing.assert_array_equal(mesh.faces, digit.faces)
@@ -220,7 +222,7 @@ def test_tables_are_a_data_set_folder(
 
 
 @pytest.mark.thorough
-def test_scenes_keep_the_places_of_objects(tmp_path: Path) -> None:
+def test_scenes_keep_the_positions_of_objects(tmp_path: Path) -> None:
     import datasets
 
     import starstruck_gen
@@ -232,8 +234,8 @@ def test_scenes_keep_the_places_of_objects(tmp_path: Path) -> None:
     assert command_line.call("tactile", "export", scenes, "--format", "flat", "--out", out, "-q") == 0
     rows = datasets.load_dataset(str(out), split="train")
     for row, scene in zip(rows, starstruck_gen.load(scenes, split="train"), strict=True):
-        stored = [(each["shape"], each["x_m"], each["y_m"]) for each in row["placements"]]
-        assert stored == [(each.shape, each.x_m, each.y_m) for each in scene.placements]
+        stored = [(entry["shape"], entry["x_m"], entry["y_m"]) for entry in row["placements"]]
+        assert stored == [(placed.shape, placed.x_m, placed.y_m) for placed in scene.placements]
         assert row["star_count"] == scene.star_count
         assert row["mesh"].to_mesh().volume == pytest.approx(scene.mesh.volume, rel=1e-6)
     assert command_line.call("tactile", "verify", out) == 0
@@ -263,8 +265,8 @@ def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_s
 
     def heights_mm(points: list[tuple[float, float]]) -> list[float]:
         rays = np.column_stack([points, np.full(len(points), 50.0)])
-        found, ray, _ = shape.ray.intersects_location(rays, np.tile([0.0, 0, -1], (len(points), 1)))
-        return [found[ray == number, 2].max() for number in range(len(points))]
+        points_mm, ray, _ = shape.ray.intersects_location(rays, np.tile([0.0, 0, -1], (len(points), 1)))
+        return [points_mm[ray == number, 2].max() for number in range(len(points))]
 
     # A ball of 4 mm on the left; treads of 0.8 mm on the right; flanks of 30 and 60 degrees; the base.
     assert heights_mm([(-42, -34), (-40, -34)]) == pytest.approx([12, 8 + np.sqrt(12)], abs=0.01)

@@ -1,4 +1,4 @@
-"""Export of digits to printers: selected, placed on the plate, written."""
+"""Choice of the digits of an export, by class, id and number."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def test_choosing_by_class_id_and_number(digits: mnist3d.DigitDataset) -> None:
 
 def test_missing_digits_are_named(digits: mnist3d.DigitDataset) -> None:
     some = digits.ids[[4, 11]]
-    wanted = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
-    assert {item.id for item in wanted} == set(digits.ids.tolist())
+    items = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
+    assert {item.id for item in items} == set(digits.ids.tolist())
     between = chosen(digits, ids=[(int(some.min()), int(some.max()))])
     assert {item.id for item in between} == {
         number for number in digits.ids.tolist() if some.min() <= number <= some.max()
@@ -51,8 +51,8 @@ def test_missing_digits_are_named(digits: mnist3d.DigitDataset) -> None:
         chosen(digits, ids=[99999, int(digits.ids[0]), 99998])
     with pytest.raises(InputError, match=r"no class 'x'.*expected one of 0, 1"):
         chosen(digits, labels=["x"])
-    other = str((int(digits.labels[0]) + 1) % 10)
+    label = str((int(digits.labels[0]) + 1) % 10)
     with pytest.raises(InputError, match="no object is chosen"):
-        chosen(digits, ids=[int(digits.ids[0])], labels=[other])
+        chosen(digits, ids=[int(digits.ids[0])], labels=[label])
     with pytest.raises(InputError, match="two objects would be called"):
         choose([("printed_test", digits), ("printed_test", digits)])

@@ -30,7 +30,7 @@ from tests.realtouch.lerobot_sets import CAMERA, TASKS, Truth, write_json, write
 KINDS = [(version, dtype) for version in ("v2.1", "v3.0") for dtype in ("image", "video")]
 
 
-def found(home: Path, **columns: Any) -> list[Recording]:
+def recordings_in(home: Path, **columns: Any) -> list[Recording]:
     return list(
         find_lerobot(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None, Ledger())
     )
@@ -44,9 +44,9 @@ def pictures(recording: Recording, cut: str = "whole") -> list[Any]:
 def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: Path) -> None:
     """Every column keeps its name and values; pictures are as stored, or as decoded."""
     truth = write_lerobot(tmp_path, version, dtype)
-    recordings = found(tmp_path)
-    assert [each.frames for each in recordings] == list(truth.lengths)
-    assert [each.problem for each in recordings] == [None] * 3
+    recordings = recordings_in(tmp_path)
+    assert [recording.frames for recording in recordings] == list(truth.lengths)
+    assert [recording.problem for recording in recordings] == [None] * 3
     for number, recording in enumerate(recordings):
         columns = truth.columns[number]
         assert recording.name == f"episode_{number:06d}"
@@ -65,10 +65,10 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
         assert pictures(recording) == pictures(recording, "frames")
         shown = np.stack(list(map(decode_image, pictures(recording)))).astype(int)
         assert shown.shape == truth.pixels[number].shape
-        assert np.abs(shown - truth.pixels[number]).mean() < 4  # the bar at another place makes 15 and more
+        assert np.abs(shown - truth.pixels[number]).mean() < 4  # a bar elsewhere makes 15 and more
     items = SourceTouches.joined([touches_of(recording, "frames") for recording in recordings])
     backwards = list(IMPORTS["lerobot"].contents(items[::-1]))
-    assert backwards == [each for recording in recordings for each in pictures(recording)][::-1]
+    assert backwards == [picture for recording in recordings for picture in pictures(recording)][::-1]
     assert bool(describe_conversion(items)) == (dtype == "video")
 
 
@@ -78,28 +78,28 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(version, dtyp
     with pytest.raises(
         InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "
     ):
-        found(tmp_path)
+        recordings_in(tmp_path)
     with pytest.raises(InputError, match=r"expected 'tactil'"):
-        found(tmp_path, image="tactil")
-    recordings = found(tmp_path, image="observation.images.wrist")
-    assert [len(pictures(each)) for each in recordings] == [3, 2]
-    assert [each.left_out for each in recordings] == [(CAMERA,)] * 2
+        recordings_in(tmp_path, image="tactil")
+    recordings = recordings_in(tmp_path, image="observation.images.wrist")
+    assert [len(pictures(recording)) for recording in recordings] == [3, 2]
+    assert [recording.left_out for recording in recordings] == [(CAMERA,)] * 2
     info = json.loads((tmp_path / "meta" / "info.json").read_text())
     info["features"]["observation.images.wrist"]["info"] = {"is_depth_map": True, "depth_unit": "m"}
     write_json(tmp_path / "meta" / "info.json", info)
-    assert len(found(tmp_path)) == 2  # one camera is left, beside the depth
+    assert len(recordings_in(tmp_path)) == 2  # one camera is left, beside the depth
     for name in (CAMERA, "observation.images.wrist"):
         info["features"][name]["dtype"] = "float32"
     write_json(tmp_path / "meta" / "info.json", info)
     with pytest.raises(InputError, match=r"no cameras, but .*, timestamp"):
-        found(tmp_path)
+        recordings_in(tmp_path)
 
 
 def test_several_tasks_in_an_episode_are_those_of_its_frames(tmp_path: Path) -> None:
     truth = Truth()
     truth.columns[0]["task_index"][3:] = 1
     write_lerobot(tmp_path, truth=truth)
-    first, second, _ = found(tmp_path)
+    first, second, _ = recordings_in(tmp_path)
     assert first.per_frame["task"].to_pylist() == [*[TASKS[0]] * 3, *[TASKS[1]] * 2]
     assert (first.values.get("task"), second.values["task"]) == (None, TASKS[1])
 
@@ -118,7 +118,7 @@ def test_missing_values_stay_missing_and_times_are_as_stated(tmp_path: Path) -> 
     ):
         rows = rows.append_column(name, values)
     pq.write_table(rows, path)
-    (only,) = found(tmp_path)
+    (only,) = recordings_in(tmp_path)
     assert only.time_s is not None
     np.testing.assert_array_equal(only.time_s, truth.columns[0]["timestamp"].astype(np.float64))
     np.testing.assert_array_equal(per_frame(only, "count"), [1, np.nan, 3, 4])
@@ -193,14 +193,17 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
 def test_an_unusable_episode_is_one_item_with_the_reason(dtype, spoil, words, tmp_path):
     write_lerobot(tmp_path, "v2.1", dtype)
     spoil(tmp_path)
-    recordings = found(tmp_path)
-    assert [each.frames for each in recordings][1:] == [7, 4] or not words
-    problems = [each.problem for each in recordings]
+    recordings = recordings_in(tmp_path)
+    assert [recording.frames for recording in recordings] == [1 if words else 5, 7, 4]
+    problems = [recording.problem for recording in recordings]
+    assert problems[1:] == [None, None]
+    items = touches_of(recordings[0], "frames")
+    assert len(items) == recordings[0].frames
     if words:
         assert re.search(words, str(problems[0]))
-        assert problems[1:] == [None, None]
-    items = list(touches_of(recordings[0], "frames"))
-    assert len(items) == recordings[0].frames
+    else:  # all its frames can still be read
+        assert problems[0] is None
+        assert all(isinstance(image, bytes) for image in IMPORTS["lerobot"].contents(items))
 
 
 @pytest.mark.parametrize(
@@ -221,7 +224,7 @@ def test_paths_in_metadata_stay_inside(version, values, words, tmp_path):
     write_lerobot(home, version, "video")
     (home / "link").symlink_to(tmp_path)
     state(**values)(home)
-    assert {words in str(each.problem) for each in found(home)} == {True}
+    assert {words in str(recording.problem) for recording in recordings_in(home)} == {True}
 
 
 @pytest.mark.parametrize(
@@ -259,7 +262,7 @@ def test_invalid_metadata_are_named(name: str, content: Any, words: str, tmp_pat
     else:
         state(**content)(tmp_path)
     with pytest.raises(InputError, match=words):
-        found(tmp_path)
+        recordings_in(tmp_path)
 
 
 def test_invalid_metadata_of_version_3_are_named(tmp_path: Path) -> None:
@@ -268,13 +271,13 @@ def test_invalid_metadata_of_version_3_are_named(tmp_path: Path) -> None:
     lines = pq.read_table(path)
     pq.write_table(lines.set_column(0, "episode_index", pa.array([1])), path)
     with pytest.raises(InputError, match=r"file-001\.parquet' holds episode 1 after 1"):
-        found(tmp_path)
+        recordings_in(tmp_path)
     pq.write_table(pa.table({"length": [3]}), path)
     with pytest.raises(InputError, match=r"file-001\.parquet' holds no metadata"):
-        found(tmp_path)
+        recordings_in(tmp_path)
     path.write_bytes(b"PAR1")
     with pytest.raises(ToolkitError, match=r"file-001\.parquet' is damaged"):
-        found(tmp_path)
+        recordings_in(tmp_path)
 
 
 def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
@@ -285,17 +288,16 @@ def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
             [None, {"bytes": None}, {"bytes": b""}, *rows[CAMERA].to_pylist()[3:]], rows[CAMERA].type
         ),
     )(tmp_path)
-    first, *_ = found(tmp_path)
+    first, *_ = recordings_in(tmp_path)
     images = pictures(first)
-    assert [str(each) for each in images[:3]] == [
+    assert [str(image) for image in images[:3]] == [
         f"row {row} of '{CAMERA}' holds no bytes; expected a picture" for row in range(3)
     ]
-    assert all(isinstance(each, bytes) for each in images[3:])
+    assert all(isinstance(image, bytes) for image in images[3:])
     remove("episode_000001.parquet")(tmp_path)
-    gone = pictures(found(tmp_path)[0]) and list(
-        IMPORTS["lerobot"].contents(touches_of(found(tmp_path)[2], "whole"))
-    )
-    assert len(gone) == 4
+    recordings = recordings_in(tmp_path)
+    assert "the file does not exist" in str(recordings[1].problem)
+    assert [len(pictures(recordings[number])) for number in (0, 2)] == [5, 4]
 
 
 @pytest.mark.parametrize("kind", ["single", "seq"])
@@ -309,27 +311,27 @@ def test_an_export_becomes_the_same_set(kind: str, request: pytest.FixtureReques
     before, after = realtouch.load(source, "train"), realtouch.load(tmp_path / "back", "train")
     assert after.ids.tolist() == before.ids.tolist()
     assert (after.label_names, after.labels.tolist()) == (before.label_names, before.labels.tolist())
-    for one, other in zip(before, after, strict=True):
-        assert (one.object_id, one.touch_count) == (other.object_id, other.touch_count)
-        assert [*other.extra] == ["time_s"] * (kind == "single")
-        np.testing.assert_array_equal(other.pos_in_cell_m, one.pos_in_cell_m.astype(np.float32))
+    for old, new in zip(before, after, strict=True):
+        assert (old.object_id, old.touch_count) == (new.object_id, new.touch_count)
+        assert [*new.extra] == ["time_s"] * (kind == "single")
+        np.testing.assert_array_equal(new.pos_in_cell_m, old.pos_in_cell_m.astype(np.float32))
         if kind == "single":
             pairs = [
-                (one.sensor_image, one.gel_pose_cell_frame),
-                (other.sensor_image, other.gel_pose_cell_frame),
+                (old.sensor_image, old.gel_pose_cell_frame),
+                (new.sensor_image, new.gel_pose_cell_frame),
             ]
             parts = [pairs]
         else:
-            clips = zip(one.sensor_video, other.sensor_video, strict=True)
+            clips = zip(old.sensor_video, new.sensor_video, strict=True)
             parts = [[(clip, clip.poses) for clip in pair] for pair in clips]
             for (clip, _), (again, _) in parts:
                 np.testing.assert_allclose(again.timestamps_s, clip.timestamps_s, atol=1e-6)
-        for (images, poses), (found_images, found_poses) in parts:
+        for (images, poses), (new_images, new_poses) in parts:
             stored = [bytes(images.encoded(number)) for number in range(len(images))]
-            assert [bytes(found_images.encoded(number)) for number in range(len(found_images))] == stored
+            assert [bytes(new_images.encoded(number)) for number in range(len(new_images))] == stored
             for name in ("position_m", "quaternion"):
-                wanted = getattr(poses, name).astype(np.float32)
-                np.testing.assert_array_equal(getattr(found_poses, name), wanted)
+                expected = getattr(poses, name).astype(np.float32)
+                np.testing.assert_array_equal(getattr(new_poses, name), expected)
     assert realtouch.verify(tmp_path / "back").ok
 
 
@@ -347,10 +349,10 @@ def test_a_set_of_others_is_imported(version: str, dtype: str, tmp_path: Path) -
 
 def other_number(random: np.random.Generator, content: bytes) -> bytes:
     """Return JSON with one number or text changed."""
-    places = list(re.finditer(rb"-?\d+|\"[^\"]*\"", content))
-    place = places[random.integers(len(places))]
+    matches = list(re.finditer(rb"-?\d+|\"[^\"]*\"", content))
+    match = matches[random.integers(len(matches))]
     values = [b"0", b"-1", b"1e400", b"9" * 20, b"2147483648", b"null", b"[]", b"{}", b'""', b'"../x"']
-    return content[: place.start()] + values[random.integers(len(values))] + content[place.end() :]
+    return content[: match.start()] + values[random.integers(len(values))] + content[match.end() :]
 
 
 @pytest.mark.thorough
@@ -366,13 +368,13 @@ def test_any_damage_gives_a_result_or_a_message(version: str, dtype: str, tmp_pa
         change = spoiled if path.suffix not in (".json", ".jsonl") or random.random() < 0.3 else other_number
         path.write_bytes(change(random, files[path]))
         with suppress(ToolkitError):
-            for recording in found(tmp_path):
+            for recording in recordings_in(tmp_path):
                 touches = list(touches_of(recording, "frames"))
                 assert len(touches) < 100
                 if recording.problem is None:
                     images = list(IMPORTS["lerobot"].contents(touches))
                     assert len(images) == len(touches)
-                    assert all(isinstance(each, (bytes, ItemError)) for each in images)
+                    assert all(isinstance(image, (bytes, ItemError)) for image in images)
                     used += 1
         path.write_bytes(files[path])
     assert used > 40

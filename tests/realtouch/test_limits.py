@@ -40,9 +40,9 @@ def one_clip(data: bytes, frames: int) -> Callable[[dict[str, Any], int], None]:
 def repeated(frame: bytes, count: int) -> bytes:
     """Return an AVI of one frame, which its index lists many times."""
     whole = write_avi([frame], 4096, 4096, 25.0)
-    place = whole.rindex(b"idx1")
-    listed = whole[place + 8 : place + 24] * count
-    changed = whole[:place] + b"idx1" + struct.pack("<I", len(listed)) + listed
+    start = whole.rindex(b"idx1")
+    listed = whole[start + 8 : start + 24] * count
+    changed = whole[:start] + b"idx1" + struct.pack("<I", len(listed)) + listed
     return changed[:4] + struct.pack("<I", len(changed) - 8) + changed[8:]
 
 
@@ -102,11 +102,11 @@ def test_no_encoder_has_frames_overlap(step: int) -> None:
 @pytest.mark.parametrize("order", [(2, 0, 3, 1), (1, 0, 2, 3), (1, 2, 3, 0), (0, 1, 3, 2)])
 def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]) -> None:
     """Frames would be played in another order than recorded."""
-    jpegs = [factories.encode_jpeg(np.full((16, 24, 3), 40 * each, np.uint8)) for each in range(4)]
+    jpegs = [factories.encode_jpeg(np.full((16, 24, 3), 40 * level, np.uint8)) for level in range(4)]
     whole = write_avi(jpegs, 24, 16, 25.0)
-    place = whole.rindex(b"idx1") + 8
-    entries = [whole[place + 16 * each : place + 16 * each + 16] for each in order]
-    data = memoryview(whole[:place] + b"".join(entries))
+    start = whole.rindex(b"idx1") + 8
+    entries = [whole[start + 16 * frame : start + 16 * frame + 16] for frame in order]
+    data = memoryview(whole[:start] + b"".join(entries))
     with pytest.raises(
         ValueError, match=r"index has frame \d of 4 outside of the stream or over another frame"
     ):
@@ -115,9 +115,9 @@ def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]
 
 def test_an_index_that_names_other_bytes_than_the_stream_is_named() -> None:
     whole = write_avi([factories.encode_jpeg(np.full((16, 24, 3), 40, np.uint8))] * 3, 24, 16, 25.0)
-    place = whole.rindex(b"idx1") + 8 + 16 + 12
-    shorter = int.from_bytes(whole[place : place + 4], "little") - 2
-    data = memoryview(whole[:place] + shorter.to_bytes(4, "little") + whole[place + 4 :])
+    start = whole.rindex(b"idx1") + 8 + 16 + 12
+    shorter = int.from_bytes(whole[start : start + 4], "little") - 2
+    data = memoryview(whole[:start] + shorter.to_bytes(4, "little") + whole[start + 4 :])
     with pytest.raises(ValueError, match="frame 1 of 3 where the stream has no frame of"):
         Avi(data).frame(1)
 
@@ -181,5 +181,5 @@ def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(single_rows: list[dict], tmp
         with pytest.raises(IntegrityError, match=r"touch 2.*a JPEG of 101 scans; the limit is 100"):
             use()
     for quick in (True, False):
-        found = realtouch.verify(tmp_path, quick=quick).findings
-        assert [(each.row, each.touch) for each in found] == [(1, 2)]
+        findings = realtouch.verify(tmp_path, quick=quick).findings
+        assert [(damage.row, damage.touch) for damage in findings] == [(1, 2)]

@@ -111,13 +111,15 @@ def test_punch_on_the_bonded_layer(poisson_ratio, number):
     expected = formulas.stiffness(ratio, poisson_ratio, nodes=80)
     assert expected == pytest.approx(STIFFNESS[poisson_ratio][number], abs=6e-5)
     unit_n = 4 * shear_pa(poisson_ratio) * ratio * LAYER_M * 1e-5 / (1 - poisson_ratio)
-    found = punch_on_layer(ratio, poisson_ratio, 160) / unit_n
-    assert found == pytest.approx(expected, rel=0.01)
+    stiffness = punch_on_layer(ratio, poisson_ratio, 160) / unit_n
+    assert stiffness == pytest.approx(expected, rel=0.01)
 
 
 @given(st.floats(0.05, 8), st.sampled_from([0.0, 0.3, 0.45, 0.49, 0.4999]))
 def test_response_of_the_layer_solves_its_equations_over_depth(wave, poisson_ratio):
-    z, a, n, b = (wave * float(each[0]) for each in layer.layer_response(np.array([wave]), poisson_ratio))
+    z, a, n, b = (
+        wave * float(response[0]) for response in layer.layer_response(np.array([wave]), poisson_ratio)
+    )
     assert np.abs(formulas.layer_waves(wave, poisson_ratio) - [z, a, n, n, b]).max() < 1e-9
 
 
@@ -148,14 +150,14 @@ def response_to_smooth_load(poisson_ratio, count=64, width_m=2e-3):
     k_x, k_y = np.meshgrid(*[2 * np.pi * np.fft.fftfreq(wide, pixel_m)] * 2)
     k = np.hypot(k_x, k_y)
     k[0, 0] = 1e-6 / LAYER_M
-    z, a, n, b = (LAYER_M / shear_pa(poisson_ratio) * each for each in waves_of(k * LAYER_M, poisson_ratio))
+    z, a, n, b = (LAYER_M / shear_pa(poisson_ratio) * term for term in waves_of(k * LAYER_M, poisson_ratio))
     # Each pixel bears the same load all over.
     spectrum = (
         np.fft.fft2(padded) * np.sinc(k_x * pixel_m / (2 * np.pi)) * np.sinc(k_y * pixel_m / (2 * np.pi))
     )
     along, across = (k_x / k) ** 2, (k_y / k) ** 2
     answers = (z, 1j * n * k_x / k, a * along + b * across, (a - b) * k_x * k_y / k**2)
-    return zip(ours, [np.fft.ifft2(spectrum * each).real[:count, :count] for each in answers], strict=True)
+    return zip(ours, [np.fft.ifft2(spectrum * term).real[:count, :count] for term in answers], strict=True)
 
 
 def waves_of(waves, poisson_ratio):
@@ -236,10 +238,10 @@ def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
         assert not contact.is_stick.any()
     # Where it sticks, the gel follows the body.
     x, y = grid_of(heights.shape)
-    wanted = np.stack([motion[0] - motion[2] * y, motion[1] + motion[2] * x], 2)
-    largest = max(np.abs(wanted).max(), np.abs(moved[..., :2]).max())
+    motion_m = np.stack([motion[0] - motion[2] * y, motion[1] + motion[2] * x], 2)
+    largest = max(np.abs(motion_m).max(), np.abs(moved[..., :2]).max())
     if contact.is_stick.any():
-        assert np.abs(moved[..., :2] - wanted)[contact.is_stick].max() < 0.03 * largest
+        assert np.abs(moved[..., :2] - motion_m)[contact.is_stick].max() < 0.03 * largest
     # Force and torque are the sums of what acts on the pixels.
     area = PIXEL_M[0] * PIXEL_M[1]
     loads = np.dstack([traction, pressure]) * area
@@ -257,32 +259,34 @@ def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
 def test_mirror_images_have_mirrored_results(seed, motion):
     heights, gel = bumps(seed), tactile_sim.Gel()
     (slide_x, slide_y, twist) = motion
-    how = {"thickness_m": LAYER_M}
-    given_one = tactile_sim.solve_contact(
-        heights, PIXEL_M, GelLoad(3.0, slide_m=(slide_x, slide_y), twist_rad=twist, gel=gel), **how
+    original = tactile_sim.solve_contact(
+        heights,
+        PIXEL_M,
+        GelLoad(3.0, slide_m=(slide_x, slide_y), twist_rad=twist, gel=gel),
+        thickness_m=LAYER_M,
     )
     mirrored = tactile_sim.solve_contact(
         heights[:, ::-1],
         PIXEL_M,
         GelLoad(3.0, slide_m=(-slide_x, slide_y), twist_rad=-twist, gel=gel),
-        **how,
+        thickness_m=LAYER_M,
     )
-    assert mirrored.depth_m == pytest.approx(given_one.depth_m, rel=1e-4)
+    assert mirrored.depth_m == pytest.approx(original.depth_m, rel=1e-4)
     np.testing.assert_allclose(
-        mirrored.displacement_m[:, ::-1] * [-1, 1, 1], given_one.displacement_m, atol=2e-3 * given_one.depth_m
+        mirrored.displacement_m[:, ::-1] * [-1, 1, 1], original.displacement_m, atol=2e-3 * original.depth_m
     )
-    np.testing.assert_allclose(np.multiply(mirrored.torque_n_m, [1, -1, -1]), given_one.torque_n_m, atol=3e-4)
+    np.testing.assert_allclose(np.multiply(mirrored.torque_n_m, [1, -1, -1]), original.torque_n_m, atol=3e-4)
     # Rows and columns change places, and so do x and y; turns change their sense.
     turned = tactile_sim.solve_contact(
         heights[::-1, ::-1].T,
         PIXEL_M[::-1],
         GelLoad(3.0, slide_m=(slide_y, slide_x), twist_rad=-twist, gel=gel),
-        **how,
+        thickness_m=LAYER_M,
     )
     np.testing.assert_allclose(
         turned.displacement_m[..., [1, 0, 2]].transpose(1, 0, 2)[::-1, ::-1],
-        given_one.displacement_m,
-        atol=2e-3 * given_one.depth_m,
+        original.displacement_m,
+        atol=2e-3 * original.depth_m,
     )
 
 
@@ -325,7 +329,7 @@ def test_results_depend_on_the_arguments_alone():
             bumps(seed), PIXEL_M, GelLoad(force_n=5.0, slide_m=(2e-4, 0)), thickness_m=LAYER_M
         )
         arrays = (contact.pressure_pa, contact.traction_pa, contact.displacement_m, contact.is_stick)
-        return tuple(each.tobytes() for each in arrays) + contact.force_n + contact.torque_n_m
+        return tuple(array.tobytes() for array in arrays) + contact.force_n + contact.torque_n_m
 
     seeds = list(range(6))
     first = [result(seed) for seed in seeds]
@@ -377,8 +381,8 @@ def test_reciprocity_of_single_loads():
         across = solver.tangential(traction) + solver.sideways(pressure)
         loads.append((traction.real, traction.imag, pressure))
         moved.append((across.real, across.imag, solver.normal(pressure) + solver.lifted(traction)))
-    works = [np.sum(np.multiply(loads[one], moved[1 - one])) for one in range(2)]
-    assert works[0] == pytest.approx(works[1], rel=1e-12)
+    work = [np.sum(np.multiply(loads[index], moved[1 - index])) for index in range(2)]
+    assert work[0] == pytest.approx(work[1], rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -449,16 +453,18 @@ def test_a_gel_states_its_limits():
 def test_results_of_small_windows_turn_with_them(shape):
     """A stencil reaches over three pixels, more than some windows have."""
     height_m = 1e-3 * np.random.default_rng(3).random(shape)
-    one, turned = (
+    original, turned = (
         tactile_sim.solve_contact(
             heights, 1e-3, GelLoad(1.0, slide_m=slide_m, twist_rad=0.02), thickness_m=LAYER_M
         )
         for heights, slide_m in ((height_m, (1e-4, 2e-4)), (height_m.T[::-1], (-2e-4, 1e-4)))
     )
-    assert one.depth_m == pytest.approx(turned.depth_m, abs=1e-8)
-    np.testing.assert_allclose(one.pressure_pa.T[::-1], turned.pressure_pa, atol=1e-3 * one.pressure_pa.max())
-    assert one.force_n == pytest.approx((turned.force_n[1], -turned.force_n[0], 1.0), abs=1e-3)
-    assert one.torque_n_m[2] == pytest.approx(turned.torque_n_m[2], abs=1e-6)
+    assert original.depth_m == pytest.approx(turned.depth_m, abs=1e-8)
+    np.testing.assert_allclose(
+        original.pressure_pa.T[::-1], turned.pressure_pa, atol=1e-3 * original.pressure_pa.max()
+    )
+    assert original.force_n == pytest.approx((turned.force_n[1], -turned.force_n[0], 1.0), abs=1e-3)
+    assert original.torque_n_m[2] == pytest.approx(turned.torque_n_m[2], abs=1e-6)
 
 
 @pytest.mark.parametrize("depth_m", [2e-5, 4e-4])
@@ -484,9 +490,9 @@ def test_a_sphere_on_an_incompressible_layer(share):
     gel = tactile_sim.Gel(poisson_ratio=0.5, friction=0.0)
     on_layer, on_half_space = (
         tactile_sim.solve_contact(
-            ball_m, pixel_m, GelLoad(depth_m=depth_m, gel=gel), thickness_m=each
+            ball_m, pixel_m, GelLoad(depth_m=depth_m, gel=gel), thickness_m=thickness_m
         ).force_n[2]
-        for each in (LAYER_M, math.inf)
+        for thickness_m in (LAYER_M, math.inf)
     )
     series = 1 + 1.133 * share + 1.497 * share**2 + 1.469 * share**3 + 0.755 * share**4
     assert on_layer / on_half_space == pytest.approx(series, rel=3e-3)

@@ -1,4 +1,4 @@
-"""Views of solids: reliefs, oblique views, and plots."""
+"""Views of solids, from above and oblique: geometry, shading and colours."""
 
 from __future__ import annotations
 
@@ -24,9 +24,6 @@ def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
 
 def lifted(mesh: Mesh, z_m: float) -> Mesh:
     return Mesh(mesh.vertices_m + np.array((0.0, 0.0, z_m)), mesh.faces)
-
-
-# ---------------------------------------------------------------- relief
 
 
 @given(*angles)
@@ -59,8 +56,8 @@ def test_closer_surfaces_hide_those_behind():
 
 def colours_of(pixels: np.ndarray) -> np.ndarray:
     """Return the distinct colours of a picture, except those of smoothed edges."""
-    found, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
-    return found[counts > 300]
+    colours, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
+    return colours[counts > 300]
 
 
 def test_sides_of_a_box_are_flat_and_its_edges_sharp():
