@@ -1,4 +1,4 @@
-"""A tiny gallery, so that the pages are tested without any package of data sets."""
+"""A tiny gallery, to test the pages without any package of data sets."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class ToyTask:
-    """Makes items ``start`` to ``stop - 1``. ``alive`` names a file that is touched when the work begins."""
+    """Makes items ``start`` to ``stop - 1``. ``alive`` is a file that is created when the task begins."""
 
     start: int
     stop: int
@@ -80,7 +80,7 @@ class ToyTask:
 
 
 def toy_gallery(count: int = 20, portion: int = 8, **options: object) -> Gallery:
-    """Return a gallery with a number of items."""
+    """Return a gallery of ``count`` items, made by tasks of ``portion`` items."""
     starts = range(0, count, portion)
     tasks = tuple(ToyTask(start, min(start + portion, count), **options) for start in starts)  # type: ignore[arg-type]
     title = f"Toys {HOSTILE}" if options.get("hostile") else "Toys"

@@ -38,19 +38,19 @@ VOLUME = "TactileMNISTVolumeRealSnap-train-v0"
 @pytest.fixture
 def published(provider, packages):
     """Return a function that makes published environments with the same touches."""
-    made = []
+    envs = []
 
-    def make_one(name: str, num_envs: int = ENVS, **config: Any) -> Any:
-        made.append(make(name, provider=provider, num_envs=num_envs, config=config))
-        return made[-1]
+    def make_env(name: str, num_envs: int = ENVS, **config: Any) -> Any:
+        envs.append(make(name, provider=provider, num_envs=num_envs, config=config))
+        return envs[-1]
 
-    yield make_one
-    for env in made:
+    yield make_env
+    for env in envs:
         env.close()
 
 
-def _same_beginnings(theirs: Any, ours: Any) -> None:
-    """Compare spaces, and settings with those of the registration."""
+def _same_settings(theirs: Any, ours: Any) -> None:
+    """Compare spaces and settings."""
     same_spaces(theirs, ours)
     published = vars(theirs.unwrapped.config)
     for name in published.keys() & {field.name for field in fields(RecordedConfig)}:
@@ -59,23 +59,24 @@ def _same_beginnings(theirs: Any, ours: Any) -> None:
 
 def _same_step(theirs: Any, ours: Any, levels: int = 0, share: float = 0.0) -> None:
     """Compare the results of a reset or step; a ``share`` of an image may differ by more than ``levels``."""
-    (there, seen, *outcome), (here, found, *result) = theirs, ours
-    assert seen.keys() == found.keys()
-    for name in seen.keys() - {"sensor_img"}:
-        np.testing.assert_array_equal(found[name], seen[name], name, strict=True)
-    assert seen["sensor_img"].dtype == found["sensor_img"].dtype
-    assert (np.abs(seen["sensor_img"] - found["sensor_img"]) * 255 > levels + 1e-3).mean() <= share
-    there = there.unwrapped
-    assert [each.id for each in there.current_data_points] == [each.id for each in here.current_data_points]
-    assert (
-        there.current_object_poses.translation == here.current_object_poses_platform_frame.position_m
-    ).all()
-    for one, other in zip(there.sensor_pos_limits, here.sensor_pos_limits, strict=True):
-        assert (one == other).all()
-    one, other = outcome[-1], result[-1]
-    assert (one["touch_idx"] == other["touch_idx"]).all()
-    np.testing.assert_allclose(other["sensor_pose"], one["sensor_pose"].matrix, rtol=0, atol=1e-15)
-    same_outcome(outcome, result)
+    (their_env, expected, *their_outcome), (our_env, observation, *our_outcome) = theirs, ours
+    assert expected.keys() == observation.keys()
+    for name in expected.keys() - {"sensor_img"}:
+        np.testing.assert_array_equal(observation[name], expected[name], name, strict=True)
+    assert expected["sensor_img"].dtype == observation["sensor_img"].dtype
+    assert (np.abs(expected["sensor_img"] - observation["sensor_img"]) * 255 > levels + 1e-3).mean() <= share
+    their_env = their_env.unwrapped
+    assert [point.id for point in their_env.current_data_points] == [
+        record.id for record in our_env.current_data_points
+    ]
+    our_poses = our_env.current_object_poses_platform_frame
+    assert (their_env.current_object_poses.translation == our_poses.position_m).all()
+    for their_limit, our_limit in zip(their_env.sensor_pos_limits, our_env.sensor_pos_limits, strict=True):
+        assert (their_limit == our_limit).all()
+    their_info, our_info = their_outcome[-1], our_outcome[-1]
+    assert (their_info["touch_idx"] == our_info["touch_idx"]).all()
+    np.testing.assert_allclose(our_info["sensor_pose"], their_info["sensor_pose"].matrix, rtol=0, atol=1e-15)
+    same_outcome(their_outcome, our_outcome)
 
 
 OFTEN_CUT = {"step_limit": 8, "approx_truncation_probability": 0.9}
@@ -95,13 +96,13 @@ def test_same_episodes(env_id, steps, config, published, assets):
     """Observations are equal, while environments end one by one."""
     native = make_vector(env_id, num_envs=ENVS, assets=assets, config=config)
     theirs = published(env_id, **config)
-    _same_beginnings(theirs, native)
+    _same_settings(theirs, native)
     counts = np.zeros(3, np.int64)
 
-    def compare(one: Any, other: Any) -> None:
-        _same_step(one, other)
-        if len(other) > 3:
-            _, _, _, terminated, truncated, _ = other
+    def compare(their_step: Any, our_step: Any) -> None:
+        _same_step(their_step, our_step)
+        if len(our_step) > 3:
+            _, _, _, terminated, truncated, _ = our_step
             over = terminated | truncated
             counts[:] += terminated.sum(), truncated.sum(), over.any() and not over.all()
 
@@ -121,10 +122,10 @@ def test_rendered_from_estimated_depth(sensor, levels, share, published, assets)
     name, config = f"TactileMNISTRealSnap-{sensor}-train-v0", {"step_limit": 2}
     native = make_vector(name, num_envs=1, assets=assets, config=config)
     theirs = published(name, 1, **config, depth_estimator_backend="torch")
-    _same_beginnings(theirs, native)
+    _same_settings(theirs, native)
     # Networks that render take seconds for an image.
     steps = 0 if sensor == "CycleGAN" else 1
-    walk(theirs, native, steps, lambda *each: _same_step(*each, levels, share))
+    walk(theirs, native, steps, lambda their_step, our_step: _same_step(their_step, our_step, levels, share))
     assert np.std(native._observation["sensor_img"]) > 0.01
 
 
@@ -153,8 +154,8 @@ def test_images_are_those_of_the_round(assets):
             image = stored.sensor_image[touch].astype(np.float32) / 255
             np.testing.assert_array_equal(observation["sensor_img"][row], image)
             window = np.arange(last[row] + 1, last[row] + 1 + window_size(24, 6, 0.1))
-            ways = np.linalg.norm(stored.pos_in_cell_m[window] - targets[row, :2], axis=1)
-            assert touch == window[ways.argmin()]
+            distances_m = np.linalg.norm(stored.pos_in_cell_m[window] - targets[row, :2], axis=1)
+            assert touch == window[distances_m.argmin()]
             height_m = 0.002125 + stored.gel_pose_cell_frame.position_m[touch, 2]
             height_m -= stored.gel_pose_cell_frame.position_m[:, 2].min()
             assert info["sensor_pose"][row, 2, 3] == pytest.approx(height_m, abs=1e-15)
@@ -184,30 +185,32 @@ def test_copies_continue_alike(assets):
     env.action_space.seed(2)
     for _ in range(7):
         env.step(env.action_space.sample())
-    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
     action, mask = env.action_space.sample(), np.arange(ENVS) == 1
-    for each in (env, *twins):
-        each.step(action)
-        before = each._scene.numbers.copy()
-        observation, info = each.reset(options={"reset_mask": mask, "datapoint_idx": [None, 2, None, None]})
+    for same_env in (env, *copies):
+        same_env.step(action)
+        before = same_env._scene.numbers.copy()
+        observation, info = same_env.reset(
+            options={"reset_mask": mask, "datapoint_idx": [None, 2, None, None]}
+        )
         assert (info["_touch_idx"] == mask).all()
-        assert (each._scene.numbers == np.where(mask, 2, before)).all()
+        assert (same_env._scene.numbers == np.where(mask, 2, before)).all()
         np.testing.assert_array_equal(observation["sensor_img"], env._observation["sensor_img"])
 
 
 def test_classes_need_no_meshes(assets):
     """Touches are enough for classes; pictures then show only the plate. Volumes need digits."""
     touches, digits = assets / "real-single", assets / "mnist3d"
-    seen = []
-    for place in ({"assets": touches}, {"touches": touches}, {"touches": touches, "assets": digits}):
-        env = make_vector(PLAIN, num_envs=2, render_mode="rgb_array", **place)
-        seen.append(env.reset(seed=1)[0]["sensor_img"])
-        colours = [len(np.unique(each[:, :240].reshape(-1, 3), axis=0)) for each in env.render()]
+    images = []
+    for sources in ({"assets": touches}, {"touches": touches}, {"touches": touches, "assets": digits}):
+        env = make_vector(PLAIN, num_envs=2, render_mode="rgb_array", **sources)
+        images.append(env.reset(seed=1)[0]["sensor_img"])
+        colours = [len(np.unique(picture[:, :240].reshape(-1, 3), axis=0)) for picture in env.render()]
         # The plate, the frame of the sensor and the cross of its target have different colours.
-        assert (min(colours) > 20) == (place.get("assets") == digits)
-        assert (max(colours) <= 3) == (place.get("assets") != digits)
-    assert (seen[0] == seen[1]).all()
-    assert (seen[0] == seen[2]).all()
+        assert (min(colours) > 20) == (sources.get("assets") == digits)
+        assert (max(colours) <= 3) == (sources.get("assets") != digits)
+    assert (images[0] == images[1]).all()
+    assert (images[0] == images[2]).all()
     with pytest.raises(InputError, match="volumes of the touched digits are not known"):
         make_vector(VOLUME, assets=touches)
     apart = make_vector(VOLUME, touches=touches, assets=digits, num_envs=ENVS)
@@ -239,7 +242,7 @@ def unfit(assets, tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("places", "options", "words"),
+    ("folders", "options", "words"),
     [
         ({"assets": "digits-alone"}, {}, "holds no recorded touches; expected a folder 'real-single'"),
         ({"assets": "mnist3d"}, {}, "is not a data set of touches|holds digits"),
@@ -258,9 +261,9 @@ def unfit(assets, tmp_path_factory):
         ({"assets": "real-single"}, {"config": {"snap_touch_positions": 3}}, "no setting"),
     ],
 )
-def test_refusals(places, options, words, unfit):
+def test_refusals(folders, options, words, unfit):
     with pytest.raises(InputError, match=words):
-        make_vector(PLAIN, **{name: unfit / place for name, place in places.items()}, **options)
+        make_vector(PLAIN, **{name: unfit / folder for name, folder in folders.items()}, **options)
 
 
 def test_sources(assets, tmp_path):
@@ -279,15 +282,19 @@ def test_sources(assets, tmp_path):
         (tmp_path, None): (tmp_path / "real-single-320x240", None),
         (tmp_path, touches): (touches, None),
     }
-    assert {given: RecordedSources.of(*given) for given in expected} == expected
+    assert {arguments: RecordedSources.of(*arguments) for arguments in expected} == expected
 
 
 def test_options_of_other_environments(assets):
     with pytest.raises(InputError, match="those of 'TactileMNIST-Depth-train-v0' are simulated"):
         make_vector("TactileMNIST-Depth-train-v0", assets=assets, touches=assets / "real-single")
     env = make_vector(PLAIN, assets=assets)
-    for options in ({"initial_object_pose": [[0, 0, 0]]}, {"datapoint_idx": [3]}, {"datapoint_idx": [-1]}):
-        with pytest.raises(InputError, match=r"option|datapoint_idx is .*expected 0 to 2"):
+    for options, words in (
+        ({"initial_object_pose": [[0, 0, 0]]}, "initial_object_pose"),
+        ({"datapoint_idx": [3]}, "datapoint_idx is .*expected 0 to 2"),
+        ({"datapoint_idx": [-1]}, "datapoint_idx is .*expected 0 to 2"),
+    ):
+        with pytest.raises(InputError, match=words):
             env.reset(options=options)
     env.reset(options={"initial_sensor_target_pose": [[0.01, -0.02]]})
     position_m = env.current_sensor_target_poses_platform_frame.position_m

@@ -39,7 +39,7 @@ def test_a_shard_has_one_name(name):
     "shard",
     [ShardName("a-b", 0, 1), ShardName("a b", 0, 1), ShardName("train", 2, 2), ShardName("train", 0, 10**12)],
 )
-def test_sets_that_could_not_be_read_back_are_refused_while_planning(shard):
+def test_a_plan_refuses_shards_whose_names_cannot_be_read_back(shard):
     with pytest.raises(InputError, match=f"the file of shard {shard} would not be found again"):
         replace(toy_plan(), tasks=(ToyTask(shard, (0,)),))
 
@@ -49,11 +49,8 @@ def test_files_are_in_order_of_their_numbers():
     names = [f"data/{ShardName('train', index, 1_000_001)}.parquet" for index in counts]
     numbered = [f"default/train/{index:04d}.parquet" for index in (*counts, 9_999, 10_000)]
     mixed = random.Random(0).sample([*names, *numbered], len(names) + len(numbered))
-    found = parquet_paths(mixed)
-    assert found[: len(names)] == names
-    assert found[len(names) :] == [
-        f"default/train/{index:04d}.parquet" for index in sorted((*counts, 9_999, 10_000))
-    ]
+    in_order = [f"default/train/{index:04d}.parquet" for index in sorted((*counts, 9_999, 10_000))]
+    assert parquet_paths(mixed) == [*names, *in_order]
 
 
 def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
@@ -74,15 +71,15 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     assert list(rows["id"]) == [10 * number for number in numbers]
 
 
-DIGITS = {"smallest": 50, "largest": 128, "usual_shards": 16}
+SHARD_SIZES = {"smallest": 50, "largest": 128, "usual_shards": 16}
 
 
 @given(rows=st.integers(0, 10**5), smallest=st.integers(1, 500), more=st.integers(0, 500))
 def test_shards_hold_every_row_once_in_order(rows: int, smallest: int, more: int) -> None:
     shards = shard_ranges("train", rows, smallest=smallest, largest=smallest + more, usual_shards=16)
     assert [name.index for name, _ in shards] == list(range(len(shards)))
-    assert all(name.count == len(shards) and len(held) > 0 for name, held in shards)
-    assert [0, *(held.stop for _, held in shards)] == [*(held.start for _, held in shards), rows]
+    assert all(name.count == len(shards) and len(span) > 0 for name, span in shards)
+    assert [0, *(span.stop for _, span in shards)] == [*(span.start for _, span in shards), rows]
 
 
 @pytest.mark.parametrize(
@@ -98,7 +95,7 @@ def test_shards_hold_every_row_once_in_order(rows: int, smallest: int, more: int
     ],
 )
 def test_shards_grow_with_large_splits(rows: int, count: int, size: int) -> None:
-    shards = shard_ranges("train", rows, **DIGITS)
+    shards = shard_ranges("train", rows, **SHARD_SIZES)
     assert (len(shards), len(shards[0][1])) == (count, size)
     assert shards[-1][0] == ShardName.parse(f"{shards[-1][0]}.parquet")
 
@@ -124,13 +121,13 @@ def test_a_record_whose_file_is_not_a_shard_is_damaged(name: str) -> None:
         _ = read(WHOLE | {"file": name}).shard
 
 
-@pytest.mark.parametrize("other", [None, True, -1, 2.0, "train", [], {}, 1 << 63])
+@pytest.mark.parametrize("value", [None, True, -1, 2.0, "train", [], {}, 1 << 63])
 @pytest.mark.parametrize("name", ["file", "split", "rows", "bytes", "sha256", "skipped", "unpacked_bytes"])
-def test_a_value_of_another_type_is_named(name: str, other: object) -> None:
-    if (name, other) in (("file", "train"), ("split", "train"), ("skipped", [])):
+def test_a_value_of_another_type_is_named(name: str, value: object) -> None:
+    if (name, value) in (("file", "train"), ("split", "train"), ("skipped", [])):
         return  # of the right type
     with pytest.raises(IntegrityError, match=rf"'m' is damaged: .*Expected .* at `\$\.{name}"):
-        read(WHOLE | {name: other})
+        read(WHOLE | {name: value})
 
 
 def record(split, index, statistics, skipped=()):
@@ -152,7 +149,7 @@ def test_counts_add_up(parts, total):
     assert add_up(parts) == total
 
 
-def test_manifest_adds_up_each_split_and_survives_its_text():
+def test_a_manifest_adds_up_each_split_and_is_read_back_from_its_text():
     records = (
         record("train", 0, {"n": [1, 2]}),
         record("train", 1, {"n": [3, 4]}),
@@ -162,9 +159,9 @@ def test_manifest_adds_up_each_split_and_survives_its_text():
     manifest = Manifest("toy", "1", {}, ("train", "test"), records)
     assert manifest.statistics() == {"train": {"n": [4, 6]}, "test": {"n": [5, 6]}}
     assert '"statistics"' in manifest.to_json()
-    again = Manifest.from_json(manifest.to_json(), "here")
-    assert again.shards == records
-    assert again.to_json() == manifest.to_json()
+    restored = Manifest.from_json(manifest.to_json(), "here")
+    assert restored.shards == records
+    assert restored.to_json() == manifest.to_json()
 
 
 @pytest.mark.parametrize("second", [record("train", 0, None), record("test", 0, None)])
