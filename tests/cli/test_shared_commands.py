@@ -43,7 +43,7 @@ def test_a_row_is_shown_column_by_column(digits, capsys):
     assert "--row is 20; rows are counted from 0, and split " in capsys.readouterr().err
 
 
-def test_rows_of_others_with_any_content_are_shown(tmp_path):
+def test_rows_of_foreign_files_with_any_content_are_shown(tmp_path):
     columns = {
         "when": pa.array([1], pa.timestamp("ns")),
         "spans": pa.array([[1, 2]], pa.list_(pa.duration("ns"))),
@@ -100,14 +100,14 @@ def test_the_cache_is_listed_and_pruned(tmp_path, monkeypatch, capsys):
     assert call("tactile", "cache", "empty") == 2
 
 
-def test_verify_checks_the_objects_too_where_asked(digits, capsys):
+def test_verify_checks_the_objects_with_content(digits, capsys):
     assert call("tactile", "verify", digits, "--content", "--json") == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["ok"], document["rows"]) == (True, 20)
-    assert [(each["checked"], each["failed"]) for each in document["content"]] == [(20, 0)]
+    assert [(report["checked"], report["failed"]) for report in document["content"]] == [(20, 0)]
 
 
-def test_a_token_is_that_of_the_hub(digits, monkeypatch):
+def test_the_option_token_sets_the_token_of_the_hub(digits, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "another")
     assert call("tactile", "info", digits, "--token", "hf_example", "--no-such") == 2
     assert call("tactile", "info", digits, "--token", "hf_example") == 0
@@ -130,7 +130,7 @@ def test_ten_digits_are_one_of_each(digits, tmp_path, capsys):
     assert "2 digits" in json.loads(capsys.readouterr().out)["pictures"][0]["what"]
 
 
-def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
+def test_options_of_a_training_override_its_file(tmp_path):
     file = tmp_path / "train.toml"
     file.write_text("crop = 1.0\nsteps = 7\n")
     assert TrainConfig.read(file, {"steps": 9}) == TrainConfig(crop=1.0, steps=9)
@@ -145,7 +145,7 @@ def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
 def test_specifications_give_commands_their_options():
     """A field with help is an option, a field without help is not."""
     group = typer.main.get_command(import_module("cli.tactile_sim").app)
-    options = {text for each in group.commands["generate"].params for text in each.opts}
+    options = {text for option in group.commands["generate"].params for text in option.opts}
     assert {"--rounds", "--turn", "--touches-from"} <= options
     assert "--object-placement" not in options
     assert "object_placement" in TouchPlan.__dataclass_fields__

@@ -1,4 +1,4 @@
-"""Pictures of digits: places on the sheet, the scale bar, and counts agree with the data."""
+"""Pictures of digits: positions on the sheet, the scale bar, and counts agree with the data."""
 
 from __future__ import annotations
 
@@ -45,17 +45,18 @@ def drawn(name: object, **options: object) -> dict[str, np.ndarray]:
 
 
 def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
-    """Return the corners at which a picture contains another one exactly."""
+    """Return the corners, top and left, at which a picture contains another one exactly."""
     height, width = part.shape[:2]
-    wanted, all_rows, places = part[height // 2].tobytes(), pixels.tobytes(), []
-    at = all_rows.find(wanted)
-    while at >= 0:
-        row, left = divmod(at // 3, pixels.shape[1])
+    middle_row, all_rows = part[height // 2].tobytes(), pixels.tobytes()
+    corners = []
+    offset = all_rows.find(middle_row)
+    while offset >= 0:
+        row, left = divmod(offset // 3, pixels.shape[1])
         top = row - height // 2
         if np.array_equal(pixels[max(top, 0) : top + height, left : left + width], part):
-            places.append((top, left))
-        at = all_rows.find(wanted, at + 1)
-    return places
+            corners.append((top, left))
+        offset = all_rows.find(middle_row, offset + 1)
+    return corners
 
 
 def relief_tiles(records: list) -> list[np.ndarray]:
@@ -66,8 +67,7 @@ def relief_tiles(records: list) -> list[np.ndarray]:
 
 
 def test_relief_has_the_size_of_the_mesh_and_keeps_paper_white():
-    record = SolidSpec(target_vertices=2_000)
-    mesh = mnist3d.solidify(SyntheticSource().image(0).pixels, record)
+    mesh = mnist3d.solidify(SyntheticSource().image(0).pixels, SolidSpec(target_vertices=2_000))
     pixels = relief(mesh.vertices_m, mesh.faces, 1e4)
     size_px = np.ptp(mesh.vertices_m, axis=0)[:2] * 1e4
     rows, columns = np.nonzero(pixels < 255)
@@ -86,21 +86,16 @@ def test_a_sheet_shows_the_first_of_each_class_in_the_row_of_the_class(folder):
     assert sorted(pictures) == ["digits-test-sheet.png", "digits-train-sheet.png"]
     dataset = mnist3d.load(str(folder), "train")
     shown = [dataset[int(row)] for label in range(10) for row in np.flatnonzero(dataset.labels == label)[:2]]
-    places = {}
+    centres: dict[int, list[tuple[float, float]]] = {label: [] for label in range(10)}
     for record, tile in zip(shown, relief_tiles(shown), strict=True):
         ((top, left),) = find(pictures["digits-train-sheet.png"], tile)
-        places[record.id] = (record.label, top + tile.shape[0] / 2, left + tile.shape[1] / 2)
-    for label in range(10):
-        ((top, left), (other_top, other_left)) = [place[1:] for place in places.values() if place[0] == label]
-        assert abs(top - other_top) <= 1
-        assert other_left - left == pytest.approx(places_step(places), abs=1.5)
-    rows = [min(place[1] for place in places.values() if place[0] == label) for label in range(10)]
-    assert rows == sorted(rows)
-
-
-def places_step(places: dict[int, tuple[int, float, float]]) -> float:
-    lefts = sorted(place[2] for place in places.values())
-    return float(np.median(lefts[len(lefts) // 2 :]) - np.median(lefts[: len(lefts) // 2]))
+        centres[record.label].append((top + tile.shape[0] / 2, left + tile.shape[1] / 2))
+    steps = np.array([second_x - first_x for (_, first_x), (_, second_x) in centres.values()])
+    assert steps == pytest.approx(np.median(steps), abs=1.5)
+    assert steps.min() > 0
+    assert all(abs(first_y - second_y) <= 1 for (first_y, _), (second_y, _) in centres.values())
+    heights = [row[0][0] for row in centres.values()]
+    assert heights == sorted(heights)
 
 
 def test_a_sheet_holds_the_ids_asked_for_and_no_others(folder):
@@ -110,21 +105,21 @@ def test_a_sheet_holds_the_ids_asked_for_and_no_others(folder):
     (picture,) = plan.pictures
     assert picture.what == "3 digits of train from above"
     pixels = picture.draw()
-    asked = [dataset[0], dataset[5], dataset[9]]
-    *tiles, other = relief_tiles([*asked, dataset[1]])
-    if other.shape[0] > max(tile.shape[0] for tile in tiles):
-        tiles = relief_tiles(asked)
+    records = [dataset[0], dataset[5], dataset[9]]
+    *tiles, unlisted_tile = relief_tiles([*records, dataset[1]])
+    if unlisted_tile.shape[0] > max(tile.shape[0] for tile in tiles):
+        tiles = relief_tiles(records)
     assert [len(find(pixels, tile)) for tile in tiles] == [1, 1, 1]
-    assert find(pixels, other) == []
+    assert find(pixels, unlisted_tile) == []
 
 
 @pytest.mark.parametrize("ending", ["stl", "3mf", "ply", "obj", "glb"])
 def test_the_scale_bar_fits_a_box_of_known_size(ending, tmp_path):
     import trimesh
 
-    made = trimesh.creation.box((0.030, 0.020, 0.008))
+    box = trimesh.creation.box((0.030, 0.020, 0.008))
     path = tmp_path / f"my box.{ending}"
-    write_mesh(path, Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)))
+    write_mesh(path, Mesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32)))
     ((name, pixels),) = drawn(path).items()
     assert name == "my-box-sheet.png"
     bar_px = int((pixels[-48:] == INK).all(axis=2).sum(axis=1).max())
@@ -168,8 +163,8 @@ def test_the_stack_shows_a_layer_where_the_view_projects_it():
 def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
     pixels = SyntheticSource().image(0).pixels
     Image.fromarray(pixels).save(tmp_path / "digit.png")
-    (planned,) = plan_previews(str(tmp_path / "digit.png"), PreviewSpec()).pictures
-    assert (planned.name, planned.what) == ("digit-steps.png", "digit.png")
+    (task,) = plan_previews(str(tmp_path / "digit.png"), PreviewSpec()).pictures
+    assert (task.name, task.what) == ("digit-steps.png", "digit.png")
     small = np.asarray(Image.fromarray(pixels).resize((250, 250)))
     coarse = SolidSpec(pixel_pitch_mm=0.4)
     picture = draw_steps(small, coarse, "digit.png")
@@ -189,32 +184,30 @@ def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
-    """Return the bodies that steps draw."""
+def drawn_meshes(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
+    """Return the meshes of the bodies that are drawn from now on."""
     meshes: list[Mesh] = []
-
     draw = View.draw
 
-    def look(view: View, bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
+    def draw_and_keep(view: View, bodies: Sequence[DrawnBody], *options: Any) -> np.ndarray:
         meshes.extend(body.mesh for body in bodies)
-        return draw(view, bodies, *how)
+        return draw(view, bodies, *options)
 
-    monkeypatch.setattr(View, "draw", look)
+    monkeypatch.setattr(View, "draw", draw_and_keep)
     return meshes
 
 
 @pytest.mark.parametrize("vertices", [1500, 400])
-def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices, seen):
+def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices, drawn_meshes):
     source = SyntheticSource(count=280)
     spec = DigitSetSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "test")
-    (planned,) = plan_previews(
-        str(tmp_path / "set"), PreviewSpec(kinds=("steps",), ids=(record.id,))
-    ).pictures
-    planned.draw()
-    np.testing.assert_array_equal(seen[-1].vertices_m, record.vertices_m)
-    np.testing.assert_array_equal(seen[-1].faces, record.faces)
+    spec = PreviewSpec(kinds=("steps",), ids=(record.id,))
+    (task,) = plan_previews(str(tmp_path / "set"), spec).pictures
+    task.draw()
+    np.testing.assert_array_equal(drawn_meshes[-1].vertices_m, record.vertices_m)
+    np.testing.assert_array_equal(drawn_meshes[-1].faces, record.faces)
 
 
 @pytest.mark.thorough
@@ -227,28 +220,24 @@ def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder)
     assert np.array_equal(pixels, draw_steps(image, THIN, title))
 
 
-def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
+def test_steps_refuse_images_that_are_not_those_of_the_data_set(tmp_path):
     for name, ids in (("one", (0, 14)), ("other", (28, 42))):
         for label, digit in enumerate(ids):
             (tmp_path / name / str(label)).mkdir(parents=True)
             Image.fromarray(SyntheticSource().image(digit).pixels).save(
                 tmp_path / name / str(label) / "1.png"
             )
-    spec = DigitSetSpec(
-        FolderSource(str(tmp_path / "one")),
-        SolidSpec(target_vertices=2_000),
-        SplitSpec(sizes=(("train", 1),)),
-    )
-    spec = DigitSetSpec(spec.source, spec.solid, spec.split, limit=2)
+    solid, split = SolidSpec(target_vertices=2_000), SplitSpec(sizes=(("train", 1),))
+    spec = DigitSetSpec(FolderSource(str(tmp_path / "one")), solid, split, limit=2)
     with pytest.raises(InputError, match="is a folder of pictures"):
         plan_previews(str(tmp_path / "one"), PreviewSpec(kinds=("steps",)))
     generate(spec, str(tmp_path / "set"), ("train",))
-    where = str(tmp_path / "set")
+    folder = str(tmp_path / "set")
     with pytest.raises(InputError, match="images is needed by the source 'folder'"):
-        plan_previews(where, PreviewSpec(kinds=("steps",)))
+        plan_previews(folder, PreviewSpec(kinds=("steps",)))
     with pytest.raises(InputError, match="holds other images"):
-        plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "other"))
-    assert len(plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "one")).pictures) == 1
+        plan_previews(folder, PreviewSpec(kinds=("steps",), images=tmp_path / "other"))
+    assert len(plan_previews(folder, PreviewSpec(kinds=("steps",), images=tmp_path / "one")).pictures) == 1
 
 
 # ---------------------------------------------------------------- bad input
@@ -292,9 +281,9 @@ def test_steps_of_a_set_that_names_no_source_are_refused(folder, tmp_path):
 
 def test_an_image_without_ink_is_named(tmp_path):
     Image.new("L", (40, 40), 255).save(tmp_path / "blank.png")
-    (planned,) = plan_previews(str(tmp_path / "blank.png"), PreviewSpec()).pictures
+    (task,) = plan_previews(str(tmp_path / "blank.png"), PreviewSpec()).pictures
     with pytest.raises(InputError, match=r"blank\.png: the image has one grey level only"):
-        planned.draw()
+        task.draw()
 
 
 def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):

@@ -24,8 +24,8 @@ CLASSES = ("mug", "fork")
 class Session:
     """A recording: arguments of the import, and the expected touches.
 
-    ``lossless`` is whether pixels are stored as they were given. ``position_m`` and ``quaternion`` are
-    empty where the source has no poses.
+    ``lossless`` states whether the import keeps the values of all pixels. ``position_m`` and ``quaternion``
+    are empty if the source has no poses.
     """
 
     source: Path
@@ -44,7 +44,7 @@ def truth(touches: int = 4) -> RoundTruth:
 
 
 def force_of(touch: TouchTruth) -> np.ndarray:
-    """Return a force in newtons that no float32 holds exactly."""
+    """Return forces, newtons, nearly all of which float32 rounds."""
     return np.where(np.arange(touch.frames) >= touch.contact_start, 1.1, 0.1) + 0.01 * np.arange(touch.frames)
 
 
@@ -88,7 +88,7 @@ def mjpeg_avi(home: Path) -> Session:
     for number, touch in enumerate(touches):
         file = home / f"take{number}.avi"
         write_video(file, "mjpeg", touch.pixels, **{"q:v": "2"})
-        pixels.append(np.stack([decoded_by_pillow(each) for each in packets_of(file)]))
+        pixels.append(np.stack([decoded_by_pillow(packet) for packet in packets_of(file)]))
         position, quaternion = touch.position_m, touch.quaternion
         columns = {
             "time_s": touch.time_s,
@@ -97,7 +97,7 @@ def mjpeg_avi(home: Path) -> Session:
         columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True)) | {
             "force_n": force_of(touch)
         }
-        write_csv(home / f"take{number}.csv", {name: each.tolist() for name, each in columns.items()})
+        write_csv(home / f"take{number}.csv", {name: column.tolist() for name, column in columns.items()})
     labels = [CLASSES[number % 2] for number in range(len(touches))]
     write_csv(home / "labels.csv", {"file": [f"take{n}.avi" for n in range(len(touches))], "object": labels})
     return Session(
@@ -125,9 +125,8 @@ def h264_mp4(home: Path) -> Session:
                 write_video(home / label / f"{number}.mp4", "libx264", touch.pixels, crf="12")
                 labels.append(label)
                 ordered.append(touch)
-    return Session(
-        home, (), [each.pixels for each in ordered], False, labels, time_s=[each.time_s for each in ordered]
-    )
+    pixels = [touch.pixels for touch in ordered]
+    return Session(home, (), pixels, False, labels, time_s=[touch.time_s for touch in ordered])
 
 
 def png_and_euler(home: Path) -> Session:
@@ -153,7 +152,7 @@ def png_and_euler(home: Path) -> Session:
     pose = ("--map", "pose=x,y,z,roll_deg,pitch_deg,yaw_deg", "--euler", "xyz")
     return Session(
         home, (*words, *pose), peaks, True, labels, list(position), list(quaternion),
-        force_n=[np.float64(each) for each in force],
+        force_n=[np.float64(force_n) for force_n in force],
     )  # fmt: skip
 
 
@@ -172,12 +171,12 @@ def class_folders(home: Path) -> Session:
 
 def long_video(home: Path) -> Session:
     """One video of several touches, to be cut by contact; ``pixels`` are the frames of the contacts."""
-    rest = truth().touches[0].pixels[:1]
+    bare_gel = truth().touches[0].pixels[:1]
     touches = [touch for touch in truth(8).touches if touch.on_digit]
-    parts, contacts = [np.repeat(rest, 20, axis=0)], []
+    parts, contacts = [np.repeat(bare_gel, 20, axis=0)], []
     for touch in touches:
         contacts.append(touch.pixels[touch.contact_start : touch.contact_end + 1])
-        parts += [touch.pixels[: touch.contact_end + 1], np.repeat(rest, 30, axis=0)]
+        parts += [touch.pixels[: touch.contact_end + 1], np.repeat(bare_gel, 30, axis=0)]
     home.mkdir()
     write_video(home / "session.avi", "mjpeg", np.concatenate(parts), **{"q:v": "2"})
     return Session(home / "session.avi", ("--cut", "contact"), contacts, False)
@@ -195,7 +194,7 @@ def zarr3_buffer(home: Path) -> Session:
     arrays = {
         "tactile": pixels,
         "state": state,
-        "force": np.concatenate([force_of(each) for each in touches]),
+        "force": np.concatenate([force_of(touch) for touch in touches]),
     }
     for name, values in arrays.items():
         chunks = (16, *values.shape[1:])

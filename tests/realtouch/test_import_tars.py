@@ -46,12 +46,12 @@ def test_tars_of_others(tmp_path: Path) -> None:
     odd += [(f"./{number}.json", text) for number, text in enumerate([*as_json, b" " * (1 << 21)])]
     write_tar(tmp_path / "odd.tar", sorted(odd))
     for image in (None, "rgb.jpg"):
-        chosen = realtouch.ImportColumns(image=image)
-        spec = realtouch.ImportSpec("webdataset", chosen, max_left_out=1)
-        made = realtouch.import_touches(tmp_path / "odd.tar", tmp_path / f"odd-{image}", spec)
-        reasons = [(item.id, item.reason) for item in made.shards[0].skipped]
+        columns_of_odd = realtouch.ImportColumns(image=image)
+        spec = realtouch.ImportSpec("webdataset", columns_of_odd, max_left_out=1)
+        manifest = realtouch.import_touches(tmp_path / "odd.tar", tmp_path / f"odd-{image}", spec)
+        reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
         assert reasons == [*((number, "label") for number in range(4)), (5, "json")]
-        assert "expected an object of at most 1 MiB" in made.shards[0].skipped[-1].message
+        assert "expected an object of at most 1 MiB" in manifest.shards[0].skipped[-1].message
         assert realtouch.load(tmp_path / f"odd-{image}", "train").ids.tolist() == ["4"]
     by_class = realtouch.ImportColumns(label="cls")
     realtouch.import_touches(
@@ -69,18 +69,18 @@ def test_tars_of_others(tmp_path: Path) -> None:
 def test_a_tar_that_is_replaced_before_its_images_are_read_is_refused(tmp_path: Path) -> None:
     """Otherwise images with the same names would get the labels of earlier ones."""
     fields = [(f"{number}.json", json.dumps({"label": number}).encode()) for number in range(2)]
-    for name, levels in (("given.tar", (10, 90)), ("other.tar", (90, 10))):
+    for name, levels in (("source.tar", (10, 90)), ("new.tar", (90, 10))):
         pictures = [(f"{number}.jpg", picture(level)) for number, level in enumerate(levels)]
         write_tar(tmp_path / name, sorted(pictures + fields))
-    given, other = tmp_path / "given.tar", tmp_path / "other.tar"
-    assert given.stat().st_size == other.stat().st_size
+    source, new_tar = tmp_path / "source.tar", tmp_path / "new.tar"
+    assert source.stat().st_size == new_tar.stat().st_size
 
     def exchange(_progress: Progress) -> None:
-        other.replace(given)
+        new_tar.replace(source)
 
-    with pytest.raises(IntegrityError, match=r"given\.tar' was replaced"):
+    with pytest.raises(IntegrityError, match=r"source\.tar' was replaced"):
         realtouch.import_touches(
-            given, tmp_path / "out", realtouch.ImportSpec("webdataset"), on_progress=exchange
+            source, tmp_path / "out", realtouch.ImportSpec("webdataset"), on_progress=exchange
         )
     assert not (tmp_path / "out").exists()
 
@@ -123,9 +123,9 @@ def test_a_tar_with_an_impossible_header(before, size, words, tmp_path, capsys):
     (tmp_path / "a.tar").write_bytes(good + odd + bytes(10_240))
     arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--map", "label=cls")
     assert call("realtouch", *arguments, "--workers", 1, "--out", tmp_path / "out") == 3
-    said = capsys.readouterr().err
-    assert words in said
-    assert len(said.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert words in message
+    assert len(message.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -135,16 +135,16 @@ def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]
     fields = [{"number": number, "name": "ü", "third": 1 / 3} for number in range(len(samples))]
     try:
         with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-            for (name, content), said in zip(samples, fields, strict=True):
-                text = json.dumps(said, ensure_ascii=False, separators=(",", ":")).encode()
-                for member, each in ((name, content), (f"{name.partition('.')[0]}.json", text)):
+            for (name, content), values in zip(samples, fields, strict=True):
+                text = json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()
+                for member, member_bytes in ((name, content), (f"{name.partition('.')[0]}.json", text)):
                     header = tarfile.TarInfo(member)
-                    header.size = len(each)
-                    tar.addfile(header, io.BytesIO(each))
+                    header.size = len(member_bytes)
+                    tar.addfile(header, io.BytesIO(member_bytes))
     except ValueError:  # a name that is too long
         assume(False)
-    made = tar_of((name, content, said) for (name, content), said in zip(samples, fields, strict=True))
-    assert made == stream.getvalue()
+    content_of_tar = tar_of((*sample, values) for sample, values in zip(samples, fields, strict=True))
+    assert content_of_tar == stream.getvalue()
 
 
 def test_long_names_are_read_by_tarfile(tmp_path: Path) -> None:
@@ -155,4 +155,4 @@ def test_long_names_are_read_by_tarfile(tmp_path: Path) -> None:
     with tarfile.open(home / "x.tar") as tar:
         assert tar.getnames()[::2] == names
     realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("webdataset"))
-    assert [each.id for each in realtouch.load(tmp_path / "out", "train")] == ["b", "c", "d"]
+    assert [record.id for record in realtouch.load(tmp_path / "out", "train")] == ["b", "c", "d"]

@@ -48,17 +48,17 @@ def test_every_field_of_clips(layout: Layout, truth: list[RoundTruth], tmp_path:
         assert_common(record, expected)
         lengths = [touch.frames for touch in expected.touches]
         assert record.video_length_frames.tolist() == lengths
-        for touch, made in enumerate(expected.touches):
+        for touch, touch_truth in enumerate(expected.touches):
             poses = record.gel_pose_cell_frame_seq[touch]
-            np.testing.assert_array_equal(poses.position_m, made.position_m)
-            np.testing.assert_array_equal(poses.quaternion, made.quaternion)
+            np.testing.assert_array_equal(poses.position_m, touch_truth.position_m)
+            np.testing.assert_array_equal(poses.quaternion, touch_truth.quaternion)
             stamps = record.time_stamp_rel_seq[touch] / np.timedelta64(1, "s")
-            np.testing.assert_allclose(stamps, made.time_s, atol=1e-9)
+            np.testing.assert_allclose(stamps, touch_truth.time_s, atol=1e-9)
             clip = record.sensor_video[touch]
-            assert len(clip) == made.frames
+            assert len(clip) == touch_truth.frames
             assert (clip.contact_window.start, clip.contact_window.stop - 1) == (
-                made.contact_start,
-                made.contact_end,
+                touch_truth.contact_start,
+                touch_truth.contact_end,
             )
         starts = record.touch_start_time_rel / np.timedelta64(1, "s")
         np.testing.assert_allclose(starts, [t.time_s[t.contact_start] for t in expected.touches], atol=1e-9)
@@ -76,12 +76,12 @@ def test_every_field_of_images(layout, truth, single_rows, tmp_path):
         assert_common(record, expected)
         positions = [touch.position_m[touch.peak] for touch in expected.touches]
         np.testing.assert_array_equal(record.gel_pose_cell_frame.position_m, positions)
-        for touch, made in enumerate(expected.touches):
+        for touch, touch_truth in enumerate(expected.touches):
             image = record.sensor_image[touch]
             assert image.dtype == np.uint8
-            assert np.abs(image.astype(int) - made.pixels[made.peak]).mean() < 3
+            assert np.abs(image.astype(int) - touch_truth.pixels[touch_truth.peak]).mean() < 3
             matrix = record.gel_pose_cell_frame[touch].as_matrix()
-            np.testing.assert_allclose(matrix[:3, 3], made.position_m[made.peak])
+            np.testing.assert_allclose(matrix[:3, 3], touch_truth.position_m[touch_truth.peak])
             np.testing.assert_allclose(matrix[:3, :3].T @ matrix[:3, :3], np.eye(3), atol=1e-12)
 
 
@@ -114,9 +114,9 @@ def test_records_are_frozen_and_pickle(seq_folder: Path, single_folder: Path) ->
         record = realtouch.load(folder, "train")[1]
         with pytest.raises(AttributeError, match="frozen"):
             record.id = "other"
-        again = pickle.loads(pickle.dumps(record))
-        assert (again.id, again.label) == (record.id, record.label)
-        np.testing.assert_array_equal(again.pos_in_cell_m, record.pos_in_cell_m)
+        restored = pickle.loads(pickle.dumps(record))
+        assert (restored.id, restored.label) == (record.id, record.label)
+        np.testing.assert_array_equal(restored.pos_in_cell_m, record.pos_in_cell_m)
         touch = pickle.loads(pickle.dumps(realtouch.load(folder, "train").touches()[6]))
         np.testing.assert_array_equal(touch.image, realtouch.load(folder, "train").touches()[6].image)
     images = pickle.loads(pickle.dumps(realtouch.load(single_folder, "train")[1].sensor_image))
@@ -134,7 +134,7 @@ def test_missing_columns_are_named_when_asked_for(seq_rows: list[dict], tmp_path
     record = dataset[0]
     assert record.label == 0
     assert record.sensor_video[0][0].shape == (72, 96, 3)
-    for ask, column in (
+    for read, column in (
         (lambda: record.object_id, "object_id"),
         (lambda: record.touch_start_time_rel, "touch_start_time_rel"),
         (lambda: record.sensor_video[0].contact_window, "touch_start_time_rel"),
@@ -143,7 +143,7 @@ def test_missing_columns_are_named_when_asked_for(seq_rows: list[dict], tmp_path
         (lambda: dataset.touches().with_contact(0.006), "gel_pose_cell_frame_seq.position"),
     ):
         with pytest.raises(InputError, match=f"no column '{column}'"):
-            ask()
+            read()
 
 
 def test_a_set_of_neither_kind_is_refused(single_rows: list[dict], tmp_path: Path) -> None:
@@ -163,16 +163,16 @@ def test_missing_items_are_named(tmp_path: Path, single_folder: Path) -> None:
 
 
 def test_short_names_reach_the_published_repositories(monkeypatch, tmp_path):
-    asked = []
+    calls = []
 
-    def find(repo_id: str, revision: str | None) -> object:
-        asked.append((repo_id, revision))
+    def refuse(repo_id: str, revision: str | None) -> object:
+        calls.append((repo_id, revision))
         raise InputError(repo_id)
 
-    monkeypatch.setattr("tactile_toolkit.hub.open_repository", find)
+    monkeypatch.setattr("tactile_toolkit.hub.open_repository", refuse)
     with pytest.raises(InputError, match="touch-real-seq"):
         realtouch.load("real-seq", revision="main", streaming=True)
-    assert asked == [("TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240", "main")]
+    assert calls == [("TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240", "main")]
 
 
 def test_import_is_quick_and_light() -> None:

@@ -49,15 +49,15 @@ def test_blocks_are_restored_and_aligned_for_arrow(tmp_path: Path) -> None:
         table = pa.table({"x": pa.array(range(count), pa.int8())}, metadata={"a": "b"})
         with (tmp_path / f"{number}").open("wb") as stream:
             write_block(f"{number}", table, stream)
-        found, size = map_block(tmp_path / f"{number}")
-        assert found.equals(table, check_metadata=True)
+        mapped, size = map_block(tmp_path / f"{number}")
+        assert mapped.equals(table, check_metadata=True)
         assert size < (tmp_path / f"{number}").stat().st_size
-        assert found["x"].chunk(0).buffers()[1].address % 8 == 0
+        assert mapped["x"].chunk(0).buffers()[1].address % 8 == 0
 
 
-def flipped(content: bytes, place: int, bit: int) -> bytes:
+def flipped(content: bytes, offset: int, bit: int) -> bytes:
     changed = bytearray(content)
-    changed[place] ^= 1 << bit
+    changed[offset] ^= 1 << bit
     return bytes(changed)
 
 
@@ -74,18 +74,18 @@ def outcome(file: Path, expected: pa.Table) -> str:
         return "named" if NAME in str(error) else str(error)
 
 
-@pytest.mark.parametrize("where", ["anywhere", "footer"])
-def test_a_flipped_bit_is_always_found(shard_file: Path, where: str) -> None:
+@pytest.mark.parametrize("part", ["file", "footer"])
+def test_a_flipped_bit_is_always_found(shard_file: Path, part: str) -> None:
     """In pages by checksums of Parquet; in the footer, which holds class names and columns, by ours."""
     expected, content, rng = read_all(shard_file), shard_file.read_bytes(), np.random.default_rng(1)
-    first = 0 if where == "anywhere" else len(content) - 8 - int.from_bytes(content[-8:-4], "little")
-    found: Counter[str] = Counter()
-    for place, bit in zip(rng.integers(first, len(content), 300), rng.integers(8, size=300), strict=True):
-        shard_file.write_bytes(flipped(content, int(place), int(bit)))
-        found[outcome(shard_file, expected)] += 1
-    assert found.total() == found["named"] + found["right"], found
+    first = 0 if part == "file" else len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    outcomes: Counter[str] = Counter()
+    for offset, bit in zip(rng.integers(first, len(content), 300), rng.integers(8, size=300), strict=True):
+        shard_file.write_bytes(flipped(content, int(offset), int(bit)))
+        outcomes[outcome(shard_file, expected)] += 1
+    assert outcomes.total() == outcomes["named"] + outcomes["right"], outcomes
     # Headers of pages have a few bits without meaning.
-    assert found["named"] >= (290 if where == "anywhere" else 300), found
+    assert outcomes["named"] >= (290 if part == "file" else 300), outcomes
 
 
 def test_page_checksums_are_detected(shard_file: Path, tmp_path: Path) -> None:
@@ -111,23 +111,23 @@ def values_of(file: Path) -> list[list[float]]:
 
 def mutations(content: bytes, count: int) -> list[tuple[str, bytes]]:
     rng = np.random.default_rng(2)
-    found = []
+    mutated = []
     for number in range(count):
-        place, length = int(rng.integers(len(content))), int(rng.integers(1, 5000))
+        offset, length = int(rng.integers(len(content))), int(rng.integers(1, 5000))
         kind = ("flip", "cut", "zeros", "noise", "longer", "moved", "foreign", "empty")[number % 8]
-        end = content[place + length :]
+        end = content[offset + length :]
         changed = {
-            "flip": flipped(content, place, number % 7),
-            "cut": content[:place],
-            "zeros": content[:place] + bytes(len(content[place : place + length])) + end,
-            "noise": content[:place] + rng.bytes(len(content[place : place + length])) + end,
+            "flip": flipped(content, offset, number % 7),
+            "cut": content[:offset],
+            "zeros": content[:offset] + bytes(len(content[offset : offset + length])) + end,
+            "noise": content[:offset] + rng.bytes(len(content[offset : offset + length])) + end,
             "longer": content + rng.bytes(length),
-            "moved": content[:place] + end,
+            "moved": content[:offset] + end,
             "foreign": b"ARROW1\0\0" + rng.bytes(length),
             "empty": b"",
         }[kind]
-        found.append((kind, changed))
-    return found
+        mutated.append((kind, changed))
+    return mutated
 
 
 def test_damaged_blocks_are_made_again(shard_file: Path, tmp_path: Path) -> None:
@@ -142,7 +142,8 @@ def test_damaged_blocks_are_made_again(shard_file: Path, tmp_path: Path) -> None
     files[1].write_bytes(files[0].read_bytes())  # intact, but with other rows
     assert values_of(shard_file) == expected
     files[1].unlink()
-    os.mkfifo(files[1])  # opening it would wait for a writer
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(files[1])  # opening it would wait for a writer
     assert values_of(shard_file) == expected
 
 
@@ -168,22 +169,22 @@ def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
     run_forked(code, tmp_path / NAME)
 
 
-def replaced(file: Path) -> None:
-    other = file.with_name("other")
-    other.write_bytes(encode_parquet(rows(1), STYLE))
-    other.replace(file)
+def replace_rows(file: Path) -> None:
+    new_file = file.with_name("new")
+    new_file.write_bytes(encode_parquet(rows(1), STYLE))
+    new_file.replace(file)
 
 
 def test_a_file_replaced_under_an_open_set_is_refused(shard_file: Path, tmp_path: Path) -> None:
     table = ShardedTable((Shard(str(shard_file)),))
     first = table.locate(0)[0].ragged(VERTICES)[0].tolist()
     copy = pickle.dumps(table)
-    replaced(shard_file)
-    for held in (table, pickle.loads(copy)):
+    replace_rows(shard_file)
+    for open_table in (table, pickle.loads(copy)):
         with pytest.raises(IntegrityError, match=r"replaced or changed.*next: load the data set again"):
-            held.locate(59)
+            open_table.locate(59)
         with pytest.raises(IntegrityError, match="replaced or changed"):
-            held.column("id")
+            open_table.column("id")
     assert table.locate(0)[0].ragged(VERTICES)[0].tolist() == first  # blocks that were open stay valid
     assert ShardedTable((Shard(str(shard_file)),)).locate(0)[0].ragged(VERTICES)[0].tolist() != first
 
@@ -194,20 +195,20 @@ def test_a_shard_replaced_before_it_was_opened_is_refused(shard_file: Path, tmp_
     second.write_bytes(shard_file.read_bytes())
     table = ShardedTable((Shard(str(shard_file), 60), Shard(str(second), 60)))
     table.locate(0)
-    replaced(second)
+    replace_rows(second)
     with pytest.raises(IntegrityError, match=r"second\.parquet' was replaced or changed"):
         table.locate(60)
 
 
 @pytest.mark.parametrize("local", [True, False])
-@pytest.mark.parametrize(("rows", "extra_bytes", "found"), [(59, 0, "60 rows"), (60, 1, "bytes")])
-def test_a_file_that_is_not_the_one_of_the_manifest_is_refused(shard_file, local, rows, extra_bytes, found):
-    """As while a set is being replaced: the manifest is new, and the shard is still the old one."""
+@pytest.mark.parametrize(("rows", "extra_bytes", "words"), [(59, 0, "60 rows"), (60, 1, "bytes")])
+def test_a_file_that_is_not_the_one_of_the_manifest_is_refused(shard_file, local, rows, extra_bytes, words):
+    """This happens while a set is replaced: the manifest is new, and the shard is still the old one."""
     content = shard_file.read_bytes()
     fsspec.filesystem("memory").pipe_file(f"/stated/{NAME}", content)
     address = str(shard_file) if local else f"memory://stated/{NAME}"
     stated = len(content) + extra_bytes
-    with pytest.raises(IntegrityError, match=rf"{NAME}': .*{found}; expected \d+ by the manifest; next: "):
+    with pytest.raises(IntegrityError, match=rf"{NAME}': .*{words}; expected \d+ by the manifest; next: "):
         ShardedTable((Shard(address, rows, size_bytes=stated),)).locate(0)
     assert ShardedTable((Shard(address, 60, size_bytes=len(content)),)).locate(59)[1] == 19
 
