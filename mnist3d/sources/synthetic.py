@@ -190,7 +190,7 @@ class WriterStyle:
     nib: float  # 0 for a round tip; 0.2 for a chisel tip whose stroke varies by 20 % with its direction
     nib_lean: float  # slope of the chisel's edge
     pressure: float  # relative change of the stroke width along a stroke
-    roundness: int  # smoothing rounds on corners
+    roundness: int  # smoothing rounds on corners, after a first one
     jitter: float  # size of the changes from digit to digit, relative to those between writers
     tremor_px: float  # deviation of the pen's path
     roughness_px: float  # deviation of the edge of the ink
@@ -284,12 +284,12 @@ def on_page(
     low, high = _bounds(bent)
     height, widest = height_px - pen_px, _WIDEST_PX - pen_px
     scale = min(height / (high[1] - low[1]), widest / max(high[0] - low[0], 1e-6))
-    paths = [_relax((path - low) * scale, style, rng) for path in bent]
+    paths = [_with_tremor((path - low) * scale, style, rng) for path in bent]
     low, high = _bounds(paths)
-    wish = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
+    shift = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
     edge = 0.5 * pen_px + _MARGIN_PX
     # Off-centre, but not off the sheet.
-    shift = np.clip(wish, edge - low, PAGE_PX - edge - high)
+    shift = np.clip(shift, edge - low, PAGE_PX - edge - high)
     # Compiled interpolation may fuse multiply and add on some machines; the grid removes the last bit.
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
 
@@ -319,7 +319,8 @@ def _bounds(paths: Paths) -> tuple[Float64, Float64]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _relax(path: Float64, style: WriterStyle, rng: KeyedRng) -> Float64:
+def _with_tremor(path: Float64, style: WriterStyle, rng: KeyedRng) -> Float64:
+    """Resample a path, add the writer's tremor, and smooth it."""
     path = resample(path, SPACING_PX)
     knots = int(len(path) * SPACING_PX / _WAVE_PX) + 3
     at = np.arange(len(path)) * ((knots - 1) / len(path))

@@ -1,4 +1,4 @@
-"""The search for the thinnest wall, compared with a search of all pairs of triangles in plain NumPy."""
+"""The search for the thinnest wall agrees with a search over all pairs of triangles in plain NumPy."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ def test_boxes_that_meet_are_found_once(seed: int, count: int, reach_mm: float) 
         patch.setattr(box_tree, "PAIRS_AT_ONCE", 16)
         parts = [part.T.tolist() for part in box_tree.near_pairs(corners_mm, reach_mm)]
     assert all(len(part) <= 16 for part in parts)
-    found = [tuple(sorted(pair)) for part in parts for pair in part]
-    assert sorted(found) == [(one, other) for one, other in np.argwhere(meet).tolist() if one < other]
+    pairs = [tuple(sorted(pair)) for part in parts for pair in part]
+    assert sorted(pairs) == [
+        (first, second) for first, second in np.argwhere(meet).tolist() if first < second
+    ]
 
 
 def dot(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -53,29 +55,30 @@ def wall_of_all_pairs(vertices: np.ndarray, faces: np.ndarray) -> float:
         (a, b): face for face, (p, q, r) in enumerate(faces.tolist()) for a, b in ((p, q), (q, r), (r, p))
     }
     joined = (faces[:, None, :, None] == faces[None, :, None, :]).any(axis=(2, 3))
-    one, other = np.nonzero(~joined | (inward @ inward.T <= 1 - 2 * FACING**2))
+    first, second = np.nonzero(~joined | (inward @ inward.T <= 1 - 2 * FACING**2))
     # A part of each triangle lies in front of the other.
-    depths = np.einsum("nkc,nc->nk", corners[other] - corners[one, :1], inward[one]).max(axis=1)
+    depths = np.einsum("nkc,nc->nk", corners[second] - corners[first, :1], inward[first]).max(axis=1)
     before = np.zeros((len(faces), len(faces)), dtype=bool)
-    before[one, other] = depths > LEVEL
-    one, other = np.nonzero(before & before.T)
-    if joined[one, other].any():
+    before[first, second] = depths > LEVEL
+    first, second = np.nonzero(before & before.T)
+    if joined[first, second].any():
         return 0.0
     best = math.inf
     for k in range(3):
         # From a corner of one triangle straight to the inside of the other.
-        point, into = corners[one, k], inward[other]
-        depth = dot(point - corners[other, 0], into)
-        here = at_corner[faces[one, k]]
-        is_round = dot(here, inward[one]) >= ROUND_CORNER
-        cosine = np.where(is_round, -dot(here, into), -dot(inward[one], into))
+        point, into = corners[first, k], inward[second]
+        depth = dot(point - corners[second, 0], into)
+        normal = at_corner[faces[first, k]]
+        is_round = dot(normal, inward[first]) >= ROUND_CORNER
+        cosine = np.where(is_round, -dot(normal, into), -dot(inward[first], into))
         faced = (depth > 0) & (cosine >= FACING)
         for start in range(3):
-            along = corners[other, (start + 1) % 3] - corners[other, start]
-            faced &= dot(np.cross(along, into), point - corners[other, start]) >= -1e-9 * dot(along, along)
+            along = corners[second, (start + 1) % 3] - corners[second, start]
+            faced &= dot(np.cross(along, into), point - corners[second, start]) >= -1e-9 * dot(along, along)
         best = min(best, (2 * depth[faced] / (1 + cosine[faced])).min(initial=math.inf))
         for m in range(3):
-            best = min(best, wall_between_edges(vertices, faces, inward, half_edge, (one, k), (other, m)))
+            wall = wall_between_edges(vertices, faces, inward, half_edge, (first, k), (second, m))
+            best = min(best, wall)
     return best
 
 
@@ -96,12 +99,12 @@ def wall_between_edges(
     s = np.where(skew, np.clip((uv * vr - ur * vv) / np.where(skew, slant, 1), 0, 1), 0.5)
     t = np.clip((uv * s + vr) / vv, 0, 1)
     s = np.clip((uv * t - ur) / uu, 0, 1)
-    way = q + t[:, None] * v - p - s[:, None] * u
-    distance = np.linalg.norm(way, axis=1)
+    offset = q + t[:, None] * v - p - s[:, None] * u
+    distance = np.linalg.norm(offset, axis=1)
     near = (distance > 0) & (distance < REACH_MM)
-    there = way[near] / distance[near, None]
+    direction = offset[near] / distance[near, None]
     cosine = np.ones(near.sum())
-    for (start, end), (face, _), way in zip(ends, (first, second), (there, -there), strict=True):
+    for (start, end), (face, _), way in zip(ends, (first, second), (direction, -direction), strict=True):
         start, end, own = start[near], end[near], inward[face[near]]
         beyond = inward[[half_edge[pair] for pair in zip(end.tolist(), start.tolist(), strict=True)]]
         along = unit(vertices[end] - vertices[start])
@@ -122,7 +125,7 @@ def surface_of(solid: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def turned(vertices: np.ndarray, seed: int) -> np.ndarray:
-    """Return vertices in any position."""
+    """Return vertices rotated at random."""
     rotation, lengths = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     rotation = rotation * np.sign(np.diag(lengths))
     return np.asarray(vertices @ (rotation * np.sign(np.linalg.det(rotation))))
@@ -130,9 +133,9 @@ def turned(vertices: np.ndarray, seed: int) -> np.ndarray:
 
 def require_same(vertices: np.ndarray, faces: np.ndarray) -> float:
     expected = wall_of_all_pairs(vertices, faces)
-    found = thinnest_wall_mm(vertices, faces, REACH_MM)
-    assert found == pytest.approx(expected if expected < REACH_MM else math.inf, abs=2e-6)
-    return found
+    wall_mm = thinnest_wall_mm(vertices, faces, REACH_MM)
+    assert wall_mm == pytest.approx(expected if expected < REACH_MM else math.inf, abs=2e-6)
+    return wall_mm
 
 
 def block() -> Any:
@@ -145,7 +148,7 @@ def sheared_box(rng: np.random.Generator) -> Any:
 
 
 def wedge(rng: np.random.Generator) -> Any:
-    """Sides at 18 degrees, up to which they face each other at a corner, and at 36, at an edge."""
+    """Return a wedge of about 18 degrees, the limit of a wall at a corner, or 36 degrees, that at an edge."""
     rise = 8 * math.tan(math.radians(rng.choice([10, 17.5, 18.1, 18.3, 30, 36, 36.5])))
     thick, skew = rng.uniform(0.2, 2), rng.uniform(-1, 1)
     outline = [(0, 0), (8, 0), (8, thick + rise), (skew, thick)]
@@ -178,8 +181,8 @@ def dented(rng: np.random.Generator) -> Any:
     solid = block()
     for side in (-1, 1):
         spike = manifold3d.Manifold.tetrahedron().scale(rng.uniform(1, 4, 3).tolist())
-        place = (*rng.uniform(-1, 1, 2), side * rng.uniform(1, 4))
-        solid -= spike.rotate(rng.uniform(0, 360, 3).tolist()).translate(place)
+        position = (*rng.uniform(-1, 1, 2), side * rng.uniform(1, 4))
+        solid -= spike.rotate(rng.uniform(0, 360, 3).tolist()).translate(position)
     return solid
 
 
@@ -188,8 +191,8 @@ def flat_ball(rng: np.random.Generator) -> Any:
 
 
 def two_hulls(rng: np.random.Generator) -> Any:
-    one, other = (manifold3d.Manifold.hull_points(rng.uniform(-2, 2, (7, 3))) for _ in range(2))
-    return one + other
+    first, second = (manifold3d.Manifold.hull_points(rng.uniform(-2, 2, (7, 3))) for _ in range(2))
+    return first + second
 
 
 SOLIDS = [sheared_box, wedge, two_blocks_joined, cut_from_both_sides, dented, flat_ball, two_hulls]
@@ -208,10 +211,10 @@ def test_no_wall_is_left_out(make: Any, seed: int) -> None:
 @pytest.mark.parametrize("taper_deg", [18, 15])
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-def test_ways_that_lead_aslant_out_of_both_boxes_are_found(taper_deg: float, side: int, axes: Any) -> None:
-    """The thin end of a wedge of small triangles, turned so that its top lies along the axes.
+def test_oblique_distances_out_of_both_boxes_are_found(taper_deg: float, side: int, axes: Any) -> None:
+    """Test the thin end of a wedge of small triangles, turned so that its top lies along the axes.
 
-    Every shortest way leads straight down from the end of the top, past the boxes around the triangles there.
+    Every shortest distance leads straight down from the end of the top, past the boxes of those triangles.
     """
     thick, rise = 1.5, 1.6 * math.tan(math.radians(taper_deg))
     outline = [(0, 0), (1.6, 0), (1.6, thick + rise), (0, thick)]

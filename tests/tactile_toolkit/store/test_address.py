@@ -107,16 +107,16 @@ try:
 except InputError as error:
     print(error)
 """
-    said = run_forked(program)
-    assert re.search(words, said), said
+    message = run_forked(program)
+    assert re.search(words, message), message
     assert not Path("s3:").exists()
 
 
 def test_unreadable_files_are_named_with_the_reason_of_the_system(tmp_path):
     """Without the error number, and without a second mention of the path."""
-    place = open_folder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     (tmp_path / "folder").mkdir()
     for path, words in (("absent", "No such file or directory"), ("folder", "Is a directory")):
         with pytest.raises(IntegrityError) as caught:
-            place.read_bytes(path)
+            folder.read_bytes(path)
         assert str(caught.value) == f"cannot read {str(tmp_path / path)!r}: {words}"
