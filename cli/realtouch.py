@@ -152,7 +152,7 @@ def check(
     """Find frozen frames, exchanged channels, duplicates and other faults of recordings.
 
     `tactile verify` checks the files of a data set. Import other recordings first, with `realtouch import`.
-    Exit code 1 if something is preview.
+    Exit code 1 if something is found.
 
     Example: realtouch check touches --pictures found
     """

@@ -42,7 +42,7 @@ class EpisodeSpec:
     ----------
     env_id : str
         Id of the environment, such as ``"TactileMNIST-Depth-test-v0"``, or of one that you registered, such
-        as ``"my_module:my_namespace/MyTask-v0"``.
+        as ``"my_module:my_namespace/MyTask-v0"``. Modules of the working folder are found, too.
     episodes : int
         Number of episodes.
     num_envs : int
@@ -98,6 +98,7 @@ class EpisodeSpec:
             name = f"tactile_envs:{NAMESPACE}/{name}"
         if self.settings:
             options["config"] = dict(self.settings)
+        policies.find_modules_of_the_working_folder()
         try:
             env = gymnasium.make_vec(name, self.num_envs, autoreset_mode="DISABLED", **options)
         except (gymnasium.error.UnregisteredEnv, ImportError, TypeError) as error:

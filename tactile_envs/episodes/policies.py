@@ -124,9 +124,7 @@ def policy_named(name: str | Policy) -> Policy:
             "module:attribute",
             field="policy",
         )
-    folder = str(Path.cwd())
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
+    find_modules_of_the_working_folder()
     try:
         policy = getattr(importlib.import_module(module_name), attribute)
     except (ImportError, AttributeError) as error:
@@ -139,6 +137,13 @@ def policy_named(name: str | Policy) -> Policy:
         )
     checked: Policy = policy
     return checked
+
+
+def find_modules_of_the_working_folder() -> None:
+    """Let modules of the working folder be imported, as `python` does for scripts, and commands do not."""
+    folder = str(Path.cwd())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
 
 
 def begin(policy: Policy, env: TactileVectorEnv, seed: int) -> None:

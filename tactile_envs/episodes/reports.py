@@ -95,12 +95,13 @@ class Report:
         protocol = self.protocol
         name = str(self.policy["name"])
         table = cards.markdown_table(("metric", "", f"{name}: mean (95 % interval)"), compare({name: self}))
+        files = wording.with_count(len(protocol["objects"]), "files")
         decided = [
             ("environment", f"`{protocol['env_id']}`"),
             ("settings", wording.markdown_code(json.dumps(protocol["settings"]))),
             ("episodes of each seed", protocol["episodes"]),
             ("seeds", protocol["seeds"]),
-            ("objects", f"split {protocol['split']}, {len(protocol['objects'])} files"),
+            ("objects", f"split {protocol['split']}, {files}"),
             ("policy", f"{wording.markdown_code(name)}, SHA-256 {self.policy['sha256']}"),
             *((key.replace("_", " "), value) for key, value in self.run.items() if key != "versions"),
             ("versions", ", ".join(f"{key} {value}" for key, value in self.run["versions"].items())),

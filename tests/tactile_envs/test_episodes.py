@@ -256,6 +256,19 @@ def test_a_policy_is_found_in_the_working_folder(tmp_path, monkeypatch, assets):
     assert manifest.spec["options"]["policy"]["name"] == "my_policies:Still"
 
 
+def test_an_environment_is_found_in_the_working_folder(tmp_path, monkeypatch, assets):
+    (tmp_path / "my_tasks.py").write_text(
+        "import gymnasium\n"
+        "from tactile_envs import make_vector\n"
+        "def make(**options):\n"
+        f"    return make_vector({ID!r}, **options)\n"
+        "gymnasium.register('my_tasks/Digits-v0', vector_entry_point=make)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    env = EpisodeSpec("my_tasks:my_tasks/Digits-v0", 2, assets=assets).open()
+    assert env.num_envs == 2
+
+
 def test_unknown_environments_are_refused(assets):
     for env_id in ("TactileMNIST-Dept-test-v0", "no_such/Environment-v0", "no_module:a/B-v0"):
         with pytest.raises(InputError, match="names no environment"):
