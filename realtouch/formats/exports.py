@@ -58,6 +58,7 @@ DEPTH = "observation.images.depth"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 _Episode = tuple[int | None, list[memoryview], dict[str, object]]
 """The touch of a clip (None for all touches of a round), the images of the frames, and columns."""
+_OF_EPISODES = ("action", "prediction", "target", "reward")
 _OF_POLICIES = {"extra.action": ACTION, "extra.reward": "next.reward"}
 """Names that other libraries give to what a policy did after a touch, and earned; the last touch has none."""
 FEATURE = "observation."
@@ -320,8 +321,8 @@ class Episodes:
             size = clip.size
         else:
             size = media.SensorImages(row).size()
+        has_actions = not are_clips and are_episodes(source.schema)
         extras = extra_columns_of(source.shards[split])
-        has_actions = not are_clips and any(extra.name == ACTION for extra in extras)
         return cls(split, are_clips, fps, size, source.class_names, extras, number, has_actions)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
@@ -534,6 +535,11 @@ class ExtraColumn:
         return pa.FixedSizeListArray.from_arrays(flat, width) if width > 1 else flat
 
 
+def are_episodes(schema: pa.Schema) -> bool:
+    """Return whether touches are episodes of a policy, as :func:`tactile_envs.record` stores them."""
+    return read.column_types(schema).keys() >= {f"extra.{name}" for name in _OF_EPISODES}
+
+
 def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
     """Return the further columns of a split, except those without any value.
 
@@ -541,13 +547,16 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
     """
     types = read.column_types(shards[0].schema)
     names = {f"{FEATURE}{name}" for name in _TAKEN}
+    is_of_policy = are_episodes(shards[0].schema)
     columns = []
     for name, stored in schema.extra_columns(types).items():
         entry, (width, has_gaps) = schema.extra_type(stored, types[stored]), _widths(shards, stored)
         depth, leaf = read.list_depth(entry)
         if has_gaps and not (pa.types.is_floating(leaf) or pa.types.is_string(leaf)):
             leaf = pa.float64()  # NaN stands for a missing value
-        feature = _OF_POLICIES.get(stored) or f"{FEATURE}{name.replace('/', '_')}"
+        feature = f"{FEATURE}{name.replace('/', '_')}"
+        if is_of_policy:
+            feature = _OF_POLICIES.get(stored, feature)
         while feature in names:
             feature = f"{feature}_"
         names.add(feature)

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 _FOLDER = "minari"
 _NAMESPACE = "tactile"
 _VERSION = "0.5.0"  # the first that stores encoded images
-_NEEDED = ("action", "prediction", "reward", "target")
 _IN_MEMORY_BYTES = 64 << 20
 _POSE = list(touch_options.POSE_COLUMNS)
 
@@ -48,11 +47,9 @@ def plan_minari(
     """Plan Minari datasets; InputError if the touches are not those of recorded episodes."""
     with errors.needs_extra("Minari datasets", "h5py", "hdf5"):
         pass
-    known = read.column_types(source.schema)
-    missing = [name for name in _NEEDED if f"extra.{name}" not in known]
-    if missing:
+    if not exports.are_episodes(source.schema):
         raise errors.InputError(
-            f"{source.name!r} has no column 'extra.{missing[0]}'; Minari datasets hold episodes of a policy",
+            f"{source.name!r} holds no recorded episodes; Minari datasets hold episodes of a policy",
             next="record episodes with `tactile-envs record`, or choose another --format",
         )
     return exports.TouchFormat(_FOLDER, write_files=_write_datasets).plan(source, choices, method, options)

@@ -50,7 +50,7 @@ def test_presets_have_their_depth_and_no_images_of_others(assets) -> None:
     env.close()
     with pytest.raises(InputError, match="'taxim' are calibrated for the GelSight Mini"):
         make_vector(TAXIM, num_envs=1, assets=assets, config=config)
-    with pytest.raises(InputError, match="no sensor 'absent'"):
+    with pytest.raises(InputError, match="sensor is 'absent'; expected one of"):
         make_vector(DEPTH, num_envs=1, assets=assets, config={**config, "sensor_model": "absent"})
 
 

@@ -55,7 +55,7 @@ def test_invalid_poses_are_refused():
     broken = tactile_sim.pose()
     broken[0, 3] = np.nan
     for pose, message in (
-        (broken, "NaN or infinite"),
+        (broken, "holds NaN, or a number beyond"),
         (flat, "not a rigid pose"),
         (np.eye(3), "expected a pose"),
         ("here", "expected a pose"),

@@ -76,9 +76,11 @@ def test_missing_files_folders_and_unknown_endings_are_refused(ring: Mesh, tmp_p
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(InputError, match="folder"):
         read_mesh(tmp_path / "folder.stl")
-    with pytest.raises(InputError, match="expected one of"):
-        read_mesh(tmp_path / "mesh.step")
-    with pytest.raises(InputError, match="expected one of"):
+    (tmp_path / "mesh.step").write_text("ISO-10303-21;")
+    for name in ("mesh.step", "absent.step"):
+        with pytest.raises(InputError, match=r"expected a file ending in \.stl, \.3mf"):
+            read_mesh(tmp_path / name)
+    with pytest.raises(InputError, match="expected a file ending in"):
         write_mesh(tmp_path / "mesh.step", ring)
 
 
