@@ -128,7 +128,9 @@ class TouchRound(pictures.Drawn, read.Record):
         return ", ".join([*self.label_words(), wording.with_count(self.touch_count, "touches")])
 
     def picture(self, width_px: float) -> UInt8:
-        """Return the picture of the contact in the middle of the round."""
+        """Return the picture of the contact in the middle of the round; InputError if it has no touches."""
+        if not self.touch_count:
+            raise errors.InputError("the round has no touches, and no picture", next="choose another round")
         return pictures.fitted(self.contact_image(self.touch_count // 2), width_px)
 
     def label_words(self) -> list[str]:

@@ -193,6 +193,8 @@ class CycleganOptics(Optics):
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
     ) -> Float32:
         """Return shades of red, green and blue in the requested size; equal depth is computed only once."""
+        if not len(depth_m):
+            return np.zeros((0, *size_px[::-1], 3), np.float32)
         images = sensor.depth_image(depth_m)
         # Many depth maps are equal: four of five real touches have no contact. A digest takes far less time
         # than a network.

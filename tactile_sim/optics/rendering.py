@@ -23,6 +23,8 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     width, height = size_px
     if pictures.shape[1:3] == (height, width):
         return pictures
+    if not len(pictures):
+        return np.zeros((0, height, width, 3), np.uint8)
     return np.stack([touch.resized(picture, width, height) for picture in pictures])
 
 
@@ -30,7 +32,9 @@ def require_images(images: AnyArray, name: str) -> None:
     """Raise InputError unless an array holds one image or more, uint8, of shape (n, H, W, 3)."""
     fits = is_real_array(images) and images.dtype == np.uint8 and images.ndim == 4
     if not fits or images.shape[3] != 3 or not images.size:
-        raise InputError(f"{name} is {shown(images)}; expected an array of uint8 (n, height, width, 3)")
+        raise InputError(
+            f"{name} is {shown(images)}; expected an array of uint8 (n, height, width, 3), n > 0"
+        )
 
 
 def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:

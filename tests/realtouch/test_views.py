@@ -87,3 +87,17 @@ def test_heights_of_a_set_without_intended_positions(single_rows, single_folder,
         touches.heights_m(), realtouch.load(single_folder, "train").touches().heights_m()
     )
     assert "<img" in touches[0]._repr_html_()
+
+
+def test_a_round_without_touches_is_named_among_the_pictures_of_a_set(single_rows, tmp_path):
+    def edit(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            for name in ("sensor_image", "pos_in_cell"):
+                row[name] = []
+            for part in ("position", "quaternion"):
+                row[f"gel_pose_cell_frame.{part}"] = []
+
+    factories.write_set(tmp_path, {"train": single_rows[:3]}, "single", Layout(edit=edit, fixed=False))
+    shown = realtouch.load(tmp_path)._repr_html_()
+    assert shown.count("<img") == 2
+    assert "the round has no touches" in shown

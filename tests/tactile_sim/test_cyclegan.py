@@ -67,6 +67,7 @@ def test_pictures_are_those_of_the_package_in_both_directions(package):
         assert np.abs(optics.shades(depths, sensor, size) - expected).max() < 1e-4
         pictures = optics.render(depths, sensor, size)
         assert np.abs(pictures - 255 * expected).max() <= 0.5 + 255e-4
+    assert optics.shades(depths[:0], sensor, size).shape == (0, *size, 3)
     large = optics.render(depths[:1], sensor, (256, 256))
     assert inverse.input_size_px == estimator.input_size
     for touches, size in ((large, (256, 256)), (large, (48, 36)), (pictures[:1], (128, 128))):
