@@ -21,6 +21,7 @@ from tactile_envs.entry_points import make_vector
 from tactile_envs.episodes import policies, recording, replays, reports
 from tactile_envs.episodes.playing import EpisodeSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
+from tests.cli.test_cards_cli import blocks, run_block
 from tests.command_line import call
 
 pytestmark = pytest.mark.envs
@@ -267,6 +268,15 @@ def test_an_environment_is_found_in_the_working_folder(tmp_path, monkeypatch, as
     monkeypatch.chdir(tmp_path)
     env = EpisodeSpec("my_tasks:my_tasks/Digits-v0", 2, assets=assets).open()
     assert env.num_envs == 2
+
+
+def test_the_lines_of_the_card_that_load_it_work(tmp_path, assets, monkeypatch, capsys):
+    _record(tmp_path / "set", assets)
+    lines = blocks(tmp_path / "set")
+    assert len(lines) == 2
+    for block in lines:
+        run_block(block, tmp_path / "set", monkeypatch)
+    assert "(64, 64, 3)" in capsys.readouterr().out
 
 
 def test_unknown_environments_are_refused(assets):
