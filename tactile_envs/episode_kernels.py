@@ -33,14 +33,14 @@ def aim(
         x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
         length = np.float32(math.sqrt((x * x + y * y) + z * z))
         for axis in range(3):
-            way = actions[i, axis] / length if length > longest else actions[i, axis]
-            aimed = sensors[i, axis] + np.float64(way) * motion[6]
+            fraction = actions[i, axis] / length if length > longest else actions[i, axis]
+            aimed = sensors[i, axis] + np.float64(fraction) * motion[6]
             targets[i, axis] = min(max(aimed, motion[axis]), motion[axis + 3])
         costs[i] = ((-(x * x) * price + -(y * y) * price) + -(z * z) * price) / np.float32(3.0)
 
 
 @compiled
-def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Float32) -> None:
+def turn(actions: Float32, limits: Float64, price: float, axes: Float64, costs: Float32) -> None:
     """Turn sensors by actions (n, 3), and add the costs to ``costs``, (n,).
 
     Actions are rotation vectors in the cell's frame, as fractions of the widest turn, shortened to length 1;
@@ -50,12 +50,12 @@ def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Flo
     """
     longest = np.float32(1.0)
     price_of = np.float32(price)
-    for i in range(len(ways)):
-        x, y, z = ways[i, 0], ways[i, 1], ways[i, 2]
+    for i in range(len(actions)):
+        x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
         length = np.float32(math.sqrt((x * x + y * y) + z * z))
         costs[i] += ((-(x * x) * price_of + -(y * y) * price_of) + -(z * z) * price_of) / np.float32(3.0)
         angle_rad = np.float64(min(length, longest)) * limits[0]
-        around = ways[i].astype(np.float64) / max(np.float64(length), 1e-12)
+        around = actions[i].astype(np.float64) / max(np.float64(length), 1e-12)
         upright, side = _turned(axes[i, :, 2], around, angle_rad), _turned(axes[i, :, 1], around, angle_rad)
         flat = math.hypot(upright[0], upright[1])
         most = math.sin(limits[1])

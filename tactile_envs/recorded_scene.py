@@ -109,8 +109,8 @@ class RecordedScene(scene.TouchScene):
         """Take the recorded touches nearest to the targets of some cells."""
         numbers, targets = self.numbers[rows], self._targets[rows]
         window = self._chosen[rows, None] + 1 + self._window
-        ways = self._touches.positions_m[numbers[:, None], window] - targets[:, None, :2]
-        nearest = np.linalg.norm(ways, axis=2).argmin(axis=1)
+        offsets_m = self._touches.positions_m[numbers[:, None], window] - targets[:, None, :2]
+        nearest = np.linalg.norm(offsets_m, axis=2).argmin(axis=1)
         chosen = window[np.arange(len(window)), nearest]
         self._chosen[rows] = chosen
         image = self._images.of(numbers, chosen).astype(np.float32)

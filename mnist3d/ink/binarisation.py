@@ -299,8 +299,8 @@ def _bar(shape: tuple[int, ...], start: Float64, end: Float64, width_px: float) 
     along = (end - start) / length
     rows, columns = np.ogrid[: shape[0], : shape[1]]
     down, across = rows - start[0], columns - start[1]
-    way = down * along[0] + across * along[1]
+    forward = down * along[0] + across * along[1]
     aside = across * along[0] - down * along[1]
     # 0.75 px joins pieces that lie diagonally, however thin the bar.
     half = max(width_px / 2, 0.75)
-    return np.asarray((np.abs(aside) <= half) & (way >= -half) & (way <= length + half))
+    return np.asarray((np.abs(aside) <= half) & (forward >= -half) & (forward <= length + half))

@@ -242,8 +242,8 @@ def unlike_paper(colours: UInt8) -> UInt8:
     paper = np.median(
         np.stack([margin(colours[..., channel]) for channel in range(colours.shape[2])]), axis=1
     )
-    away = np.abs(colours.astype(np.int16) - paper.astype(np.int16)).max(axis=2)
-    return np.asarray(away, np.uint8)
+    difference = np.abs(colours.astype(np.int16) - paper.astype(np.int16)).max(axis=2)
+    return np.asarray(difference, np.uint8)
 
 
 def is_graphic(colours: UInt8) -> bool:
@@ -251,34 +251,34 @@ def is_graphic(colours: UInt8) -> bool:
 
     Its paper has one level up to the margin, and only the edges of its ink lie between paper and ink.
     """
-    away = unlike_paper(np.atleast_3d(colours))
-    is_paper = away <= _SAME
-    is_ink = away >= DIFFERENT
+    difference = unlike_paper(np.atleast_3d(colours))
+    is_paper = difference <= _SAME
+    is_ink = difference >= DIFFERENT
     if not is_paper.any() or colours[is_paper].min() < _LIGHT:
         return False
     return bool(margin(is_paper).mean() >= _EVEN_MARGIN and (is_paper | is_ink).mean() >= _PLAIN)
 
 
-def loses_colours(away: UInt8, dark: Bool) -> bool:
+def loses_colours(difference: UInt8, dark: Bool) -> bool:
     """Return whether parts that differ from the paper are not in the ink that grey levels show."""
-    lost = (away >= DIFFERENT) & ~ndimage.binary_dilation(dark, iterations=_EDGE_PX)
+    lost = (difference >= DIFFERENT) & ~ndimage.binary_dilation(dark, iterations=_EDGE_PX)
     return bool(np.count_nonzero(ndimage.binary_opening(lost, _SQUARE)) > _LOST * lost.size)
 
 
-def ink_of_colours(away: UInt8) -> UInt8:
+def ink_of_colours(difference: UInt8) -> UInt8:
     """Return grey levels, 0 for ink of any colour and 255 for paper, from differences to the paper.
 
     The edge of ink lies where the difference is half of that of the ink beside it, as for black ink. Evenly
     coloured parts are ink however light they are.
     """
     side = 2 * _EDGE_PX + 1
-    beside = np.maximum(ndimage.maximum_filter(away, side), DIFFERENT).astype(np.float32)
-    levels = np.rint(255 * np.clip(1 - away / beside, 0, 1)).astype(np.uint8)
-    spread = ndimage.maximum_filter(away, 3) - ndimage.minimum_filter(away, 3)
-    even = ndimage.maximum_filter((away >= DIFFERENT) & (spread <= _EVEN), 3)
+    beside = np.maximum(ndimage.maximum_filter(difference, side), DIFFERENT).astype(np.float32)
+    levels = np.rint(255 * np.clip(1 - difference / beside, 0, 1)).astype(np.uint8)
+    spread = ndimage.maximum_filter(difference, 3) - ndimage.minimum_filter(difference, 3)
+    even = ndimage.maximum_filter((difference >= DIFFERENT) & (spread <= _EVEN), 3)
     # Between a light part and its dark outline, the edge of the outline belongs to neither.
     inked = even | (levels < 128)
-    filled = ndimage.binary_closing(inked, iterations=_EDGE_PX) & (away >= DIFFERENT)
+    filled = ndimage.binary_closing(inked, iterations=_EDGE_PX) & (difference >= DIFFERENT)
     levels[filled & ~(levels < 128) & ndimage.binary_dilation(even, iterations=_EDGE_PX)] = 0
     return levels
 

@@ -163,9 +163,9 @@ def picture_levels(
         grey, level = 255 - grey, 254 - level
     dark = grey <= level
     if colours.ndim == 3 and ink != "light":
-        away = unlike_paper(colours)
-        if is_coloured or loses_colours(away, dark & ~np.bool_(is_flat)):
-            grey = ink_of_colours(away)
+        difference = unlike_paper(colours)
+        if is_coloured or loses_colours(difference, dark & ~np.bool_(is_flat)):
+            grey = ink_of_colours(difference)
             require_paper_around(grey < 128, most_ink)
             return grey
     # Without both ink and paper there is no contrast to stretch.

@@ -564,6 +564,6 @@ class Neighbours:
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         lengths[lengths == 0] = np.nan  # no rotation
         turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
-        way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
-        between: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
+        rotvecs = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
+        between: Float64 = (turns[self.before] * Rotation.from_rotvec(rotvecs)).as_quat()
         return between * self.interpolated(lengths)

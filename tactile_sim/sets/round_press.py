@@ -184,8 +184,8 @@ def preview_touch(
     else:
         # A ring has no point in its middle.
         points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), keyed_rng("look"))
-        away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
-        stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
+        offsets_m = points_m - _bounds_m(solid, stands).mean(axis=0)
+        stands[:2, 3] = -points_m[np.argmin((offsets_m**2).sum(axis=1))]
     # Noise and slides are drawn as for round 0 of object 0, so that they are the same each time.
     made = press_round(spec, solid, stands[None], pose(x_m, y_m)[None], ("look", 0, 0))
     sensor_z_m = float(np.ravel(made.pressed.sensor_z_m)[0])

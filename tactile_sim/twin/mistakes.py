@@ -228,16 +228,20 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
     stated = compare.agreement(recordings)
     assert recordings.sensor_m is not None, "checked before"
     assert recordings.object_poses is not None, "set when recordings are made"
-    away_m = float(np.median(np.abs(recordings.sensor_m[:, :2] - recordings.object_poses[:, :2]).max(axis=1)))
+    distance_m = float(
+        np.median(np.abs(recordings.sensor_m[:, :2] - recordings.object_poses[:, :2]).max(axis=1))
+    )
     figure = f"the slopes of the solids and the change of the images agree by {stated:.2f}"
-    if away_m > _MAX_DISTANCE_M:
+    if distance_m > _MAX_DISTANCE_M:
         agreements = {
             unit: compare.agreement(_rescaled(recordings, metres, metres)) for unit, metres in _UNITS.items()
         }
         unit = max(agreements, key=lambda name: agreements[name])
         words = f"; in {unit}, {figure.rpartition(' ')[0]} {agreements[unit]:.2f}"
         yield Mistake(
-            "units", f"sensor and solid are {away_m:.3g} m apart: positions are not in metres{words}", away_m
+            "units",
+            f"sensor and solid are {distance_m:.3g} m apart: positions are not in metres{words}",
+            distance_m,
         )
         return
     if stated >= _LOW:

@@ -173,9 +173,9 @@ def _winding_numbers(vertices_mm: Float64, faces: Int64, points_mm: Float64) -> 
     """Return winding numbers of a surface, from solid angles (Van Oosterom and Strackee 1983)."""
     windings = np.empty(len(points_mm))
     for index, point in enumerate(points_mm):
-        away = vertices_mm - point
-        far = np.sqrt((away * away).sum(axis=1))
-        (a, b, c), (la, lb, lc) = away[faces.T], far[faces.T]
+        offsets = vertices_mm - point
+        far = np.sqrt((offsets * offsets).sum(axis=1))
+        (a, b, c), (la, lb, lc) = offsets[faces.T], far[faces.T]
         volume = (a * np.cross(b, c)).sum(axis=1)
         base = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
         windings[index] = np.arctan2(volume, base).sum() / (2 * np.pi)

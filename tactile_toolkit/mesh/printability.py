@@ -273,19 +273,19 @@ def _outline_points(outlines: Sequence[Float64]) -> tuple[Float32, Float32]:
     for outline, length in zip(outlines, lengths, strict=True):
         # Small holes need enough points for their directions too.
         count = max(16, round(length / spacing_mm))
-        way = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
+        arc_mm = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
         # Half a step from the first corner: the outline has no direction at a corner.
-        stops = (np.arange(count) + 0.5) * (way[-1] / count)
+        stops = (np.arange(count) + 0.5) * (arc_mm[-1] / count)
         closed = np.concatenate([outline, outline[:1]])
-        even = np.stack([np.interp(stops, way, closed[:, axis]) for axis in (0, 1)], axis=1)
+        even = np.stack([np.interp(stops, arc_mm, closed[:, axis]) for axis in (0, 1)], axis=1)
         along = np.roll(even, -NORMAL_SPAN, axis=0) - np.roll(even, NORMAL_SPAN, axis=0)
         left = np.stack([-along[:, 1], along[:, 0]], axis=1)
         points.append(even)
         inward.append(left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12))
-    away = np.concatenate(points)
+    centred = np.concatenate(points)
     # Single precision is accurate enough near the mean.
-    away -= away.mean(axis=0)
-    return away.astype(np.float32), np.concatenate(inward).astype(np.float32)
+    centred -= centred.mean(axis=0)
+    return centred.astype(np.float32), np.concatenate(inward).astype(np.float32)
 
 
 def _edge_lengths(outline: Float64) -> Float64:

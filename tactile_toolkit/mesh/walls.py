@@ -355,11 +355,11 @@ def _between_edges(
     s = min(max((uv * vr - ur * vv) / slant, 0.0), 1.0) if slant > 1e-12 * uu * vv else 0.5
     t = min(max((uv * s + vr) / vv, 0.0), 1.0)
     s = min(max((uv * t - ur) / uu, 0.0), 1.0)
-    way = t * v[0] - s * u[0] - r[0], t * v[1] - s * u[1] - r[1], t * v[2] - s * u[2] - r[2]
-    distance = math.sqrt(dot(way, way))
+    gap = t * v[0] - s * u[0] - r[0], t * v[1] - s * u[1] - r[1], t * v[2] - s * u[2] - r[2]
+    distance = math.sqrt(dot(gap, gap))
     if not 0 < distance < best:
         return best
-    there = way[0] / distance, way[1] / distance, way[2] / distance
+    there = gap[0] / distance, gap[1] / distance, gap[2] / distance
     back = -there[0], -there[1], -there[2]
     cosine = min(
         _cosine_in(points, faces, inward, twin, edge, there),

@@ -218,8 +218,8 @@ def _spread(points: Float64) -> tuple[tuple[float, float], ...]:
     """Return points that lie far from one another, each the farthest from those before it."""
     chosen = [int((points**2).sum(axis=1).argmin())]
     for _ in range(_TOUCHES_OF_SOLID - 1):
-        away = ((points[:, None] - points[chosen]) ** 2).sum(axis=2).min(axis=1)
-        chosen.append(int(away.argmax()))
+        squares = ((points[:, None] - points[chosen]) ** 2).sum(axis=2).min(axis=1)
+        chosen.append(int(squares.argmax()))
     return tuple((round(float(x), 1), round(float(y), 1)) for x, y in points[chosen])
 
 
