@@ -25,7 +25,7 @@ class UploadOptions:
     message : str or None
         First line of the commit.
     tag : str or None
-        Tag of the commit; not for a pull request.
+        Tag of the commit; not with ``create_pr``.
     delete : bool
         Remove files from the repository that the folder does not have.
     viewer : bool
