@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,9 +70,9 @@ def label(axes: Any, title: str, x: str, y: str) -> None:
     axes.tick_params(labelsize=7)
 
 
-def row(case: str, source: str, expected: float, found: float, within: str) -> Row:
+def row(case: str, source: str, expected: float, computed: float, within: str) -> Row:
     """Return a row of the table: the difference from the reference, and the tolerance of the test."""
-    return case, source, f"{found / expected - 1:+.2%} ({within})"
+    return case, source, f"{computed / expected - 1:+.2%} ({within})"
 
 
 def draw_sphere(left: Any, right: Any) -> list[Row]:
@@ -125,9 +126,9 @@ def draw_cone_and_punch(axes: Any) -> list[Row]:
     ]
     expected_cone = formulas.cone_force(depths, slope, REDUCED_PA)
     expected_punch = formulas.punch_force(depths, wide_m, REDUCED_PA)
-    for expected, found in ((expected_cone, cones), (expected_punch, punches)):
+    for expected, computed in ((expected_cone, cones), (expected_punch, punches)):
         axes.plot(1e3 * depths, expected, **FORMULA)
-        axes.plot(1e3 * depths, found, **OURS)
+        axes.plot(1e3 * depths, computed, **OURS)
     label(axes, "flat punch (above) and cone: force", "mm deep", "N")
     return [
         row("cone: force", "Sneddon", expected_cone[-1], cones[-1], "0.5 %"),
@@ -156,44 +157,47 @@ def draw_cylinder(axes: Any) -> list[Row]:
 
 def draw_layer(axes: Any) -> list[Row]:
     """Draw the stiffness of a flat punch on the bonded layer over its radius."""
-    found_rows = []
-    dense, places = np.linspace(0.1, 2.2, 22), (0.2, 0.4, 1.0, 2.0)
+    rows = []
+    dense, ratios = np.linspace(0.1, 2.2, 22), (0.2, 0.4, 1.0, 2.0)
     for poisson_ratio in (0.3, 0.45, 0.49, 0.4999):
-        axes.plot(dense, [formulas.stiffness(each, poisson_ratio, 60) for each in dense], **FORMULA)
+        axes.plot(dense, [formulas.stiffness(ratio, poisson_ratio, 60) for ratio in dense], **FORMULA)
         unit = 4 * shear_pa(poisson_ratio) * LAYER_M * 1e-5 / (1 - poisson_ratio)
-        found = [punch_on_layer(each, poisson_ratio, 160) / (unit * each) for each in places]
-        axes.plot(places, found, **OURS)
+        computed = [punch_on_layer(ratio, poisson_ratio, 160) / (unit * ratio) for ratio in ratios]
+        axes.plot(ratios, computed, **OURS)
         expected = formulas.stiffness(2.0, poisson_ratio)
         case = f"flat punch on the bonded layer, a/h = 2, nu = {poisson_ratio}: stiffness"
-        found_rows.append(row(case, "Lebedev and Ufliand; Hayes", expected, found[-1], "1 %"))
+        rows.append(row(case, "Lebedev and Ufliand; Hayes", expected, computed[-1], "1 %"))
     label(axes, "flat punch on the layer, nu = 0.3 ... 0.4999", "a / h", "P (1 - nu) / (4 G a d)")
-    return found_rows
+    return rows
+
+
+def thin_layer_force_n(ratio: Any, poisson_ratio: float, depth_m: float) -> Any:
+    """Return the force on a flat punch for a >> h: Johnson, 5.70; of squeeze flow for nu near 0.5: 5.8."""
+    shear = shear_pa(poisson_ratio)
+    if poisson_ratio > 0.49:
+        return 3 * math.pi * shear * depth_m * LAYER_M * ratio**4 / 8
+    confined_pa = 2 * shear * (1 - poisson_ratio) / (1 - 2 * poisson_ratio)
+    return confined_pa * math.pi * ratio**2 * LAYER_M * depth_m
 
 
 def draw_thin_layers(axes: Any) -> list[Row]:
     """Draw the force on a thin layer, relative to its limits."""
-    found_rows, places = [], np.array([3.0, 4.0, 5.0, 6.0, 8.0])
+    rows = []
+    ratios = np.array([3.0, 4.0, 5.0, 6.0, 8.0])
     dense = np.linspace(2.5, 8.5, 13)
     for poisson_ratio, at, within in ((0.4999, 5.0, "2 %"), (0.3, 4.0, "1 %")):
-        shear = shear_pa(poisson_ratio)
-
-        def limit(ratio: Any, nu: float = poisson_ratio, shear: float = shear) -> Any:
-            if nu == 0.3:
-                return formulas.thin_compressible(ratio, shear, nu, 1e-5, LAYER_M)
-            return formulas.thin_incompressible(ratio, shear, 1e-5, LAYER_M)
-
-        unit = 4 * shear * LAYER_M * 1e-5 / (1 - poisson_ratio)
-        exact = [formulas.stiffness(each, poisson_ratio) * unit * each for each in dense]
+        unit = 4 * shear_pa(poisson_ratio) * LAYER_M * 1e-5 / (1 - poisson_ratio)
+        limit = partial(thin_layer_force_n, poisson_ratio=poisson_ratio, depth_m=1e-5)
+        exact = [formulas.stiffness(ratio, poisson_ratio) * unit * ratio for ratio in dense]
         axes.plot(dense, np.array(exact) / limit(dense), **FORMULA)
-        found = np.array([punch_on_layer(each, poisson_ratio, 160) for each in places]) / limit(places)
-        axes.plot(places, found, **OURS)
+        computed = np.array([punch_on_layer(ratio, poisson_ratio, 160) for ratio in ratios]) / limit(ratios)
+        axes.plot(ratios, computed, **OURS)
         expected = formulas.stiffness(at, poisson_ratio) * unit * at / limit(at)
         case = f"thin layer, a/h = {at:g}, nu = {poisson_ratio}: force over its limit"
-        found_rows.append(
-            row(case, "thin layers; Fredholm's equation", expected, found[list(places).index(at)], within)
-        )
+        at_ratio = computed[list(ratios).index(at)]
+        rows.append(row(case, "thin layers; Fredholm's equation", expected, at_ratio, within))
     label(axes, "thin layer, nu = 0.4999 and 0.3: force / limit", "a / h", "")
-    return found_rows
+    return rows
 
 
 def on_a_sphere(count: int, **motion: Any) -> tuple[tactile_sim.ElasticContact, float, float]:
@@ -216,15 +220,15 @@ def draw_slide(axes: Any) -> list[Row]:
     slides, inner = formulas.mindlin_slide(dense, FRICTION, FORCE_N, contact_m, shear, 0.5)
     axes.plot(1e6 * slides, dense, **FORMULA)
     axes.plot(1e6 * slides, inner, **FORMULA)
-    found = []
+    computed = []
     shares = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
     slides, inner = formulas.mindlin_slide(shares, FRICTION, FORCE_N, contact_m, shear, 0.5)
     for slide_m in slides:
         contact, _, pixel_m = on_a_sphere(192, slide_m=(float(slide_m), 0.0))
-        found.append(
+        computed.append(
             (contact.force_n[0] / (FRICTION * FORCE_N), area_radius_m(contact.is_stick, pixel_m) / contact_m)
         )
-    forces, sticks = np.transpose(found)
+    forces, sticks = np.transpose(computed)
     axes.plot(1e6 * slides, forces, **OURS)
     axes.plot(1e6 * slides, sticks, **OURS)
     label(axes, "slide of a sphere: force / (mu P), and c / a", "um", "")
@@ -238,40 +242,41 @@ def draw_twist(axes: Any) -> list[Row]:
     """Draw torque and stick radius over the twist of a sphere."""
     shear = shear_pa(0.5)
     contact_m = on_a_sphere(32)[1]
-    full_nm = 3 * math.pi * FRICTION * FORCE_N * contact_m / 16
+    full_n_m = 3 * math.pi * FRICTION * FORCE_N * contact_m / 16
 
-    def of(inner: float) -> tuple[float, float]:
+    def twist_and_torque(inner: float) -> tuple[float, float]:
         return formulas.lubkin(inner, FRICTION, FORCE_N, contact_m, shear)
 
     dense = np.linspace(0.05, 0.999, 100)
-    twists, torques = np.transpose([of(each) for each in dense])
-    axes.plot(np.degrees(twists), torques / full_nm, **FORMULA)
+    twists, torques = np.transpose([twist_and_torque(inner) for inner in dense])
+    axes.plot(np.degrees(twists), torques / full_n_m, **FORMULA)
     axes.plot(np.degrees(twists), dense, **FORMULA)
-    places = (0.9, 0.8, 0.7, 0.6, 0.5, 0.2)
-    twists, torques = np.transpose([of(each) for each in places])
-    found = []
+    ratios = (0.9, 0.8, 0.7, 0.6, 0.5, 0.2)
+    twists, torques = np.transpose([twist_and_torque(inner) for inner in ratios])
+    computed = []
     for twist in twists:
         contact, _, pixel_m = on_a_sphere(128, twist_rad=float(twist))
-        found.append((contact.torque_n_m[2] / full_nm, area_radius_m(contact.is_stick, pixel_m) / contact_m))
-    turned, sticks = np.transpose(found)
-    axes.plot(np.degrees(twists), turned, **OURS)
+        stick_m = area_radius_m(contact.is_stick, pixel_m)
+        computed.append((contact.torque_n_m[2] / full_n_m, stick_m / contact_m))
+    torque_ratios, sticks = np.transpose(computed)
+    axes.plot(np.degrees(twists), torque_ratios, **OURS)
     axes.plot(np.degrees(twists[:5]), sticks[:5], **OURS)
     label(axes, "twist of a sphere: torque / full slip, and c / a", "degrees", "")
     return [
         row(
             "twist of a sphere: torque over that of full slip",
             "Lubkin",
-            torques[3] / full_nm,
-            turned[3],
+            torques[3] / full_n_m,
+            torque_ratios[3],
             "1 %",
         ),
-        row("twist of a sphere: c/a", "Lubkin", places[3], sticks[3], "2 %"),
+        row("twist of a sphere: c/a", "Lubkin", ratios[3], sticks[3], "2 %"),
     ]
 
 
 def draw_elements(axes: Any) -> list[Row]:
     """Draw the surface under a patch of a digit, along the row of pixels that bends most."""
-    found_rows = []
+    rows = []
     compliance = elements.patch_compliance()
     for friction, words in ((0.0, "without friction"), (1000.0, "stuck")):
         for patch in elements.PATCHES:
@@ -286,14 +291,14 @@ def draw_elements(axes: Any) -> list[Row]:
             target = (elements.DEPTH_M - (heights.max() - heights)).ravel()
             force_n, sunk_m = elements.elements(compliance, target, friction > 0)
             case = f"digit {patch[0]}, {words}: force"
-            found_rows.append(row(case, "finite elements", force_n, contact.force_n[2], "2 %"))
+            rows.append(row(case, "finite elements", force_n, contact.force_n[2], "2 %"))
             if patch == elements.PATCHES[0] and friction == 0:
                 line = int(contact.displacement_m[..., 2].std(1).argmax())
                 x = 1e3 * elements.PIXEL_M * np.arange(elements.COUNT)
                 axes.plot(x, 1e3 * sunk_m.reshape(heights.shape)[line], **FORMULA)
                 axes.plot(x, 1e3 * contact.displacement_m[line, :, 2], **OURS)
     label(axes, "under a digit: finite elements and here", "mm", "mm deep")
-    return found_rows
+    return rows
 
 
 if __name__ == "__main__":

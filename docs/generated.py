@@ -10,6 +10,7 @@ import inspect
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
@@ -122,39 +123,39 @@ def _assigned(name: Name) -> tuple[str, str]:
 
 def _names_of(module: Any) -> list[str]:
     """Return the public names that a module lists, or else defines or imports under their own name."""
-    found: list[str] = list(getattr(module, "__all__", ()))
-    for node in () if found else ast.parse(inspect.getsource(module)).body:
+    names: list[str] = list(getattr(module, "__all__", ()))
+    for node in () if names else ast.parse(inspect.getsource(module)).body:
         if isinstance(node, ast.ImportFrom):
-            found += [each.name for each in node.names if each.asname == each.name]
+            names += [alias.name for alias in node.names if alias.asname == alias.name]
         elif isinstance(node, (ast.ClassDef, ast.FunctionDef)):
-            found.append(node.name)
+            names.append(node.name)
         elif isinstance(node, ast.Assign):
-            found += [target.id for target in node.targets if isinstance(target, ast.Name)]
+            names += [target.id for target in node.targets if isinstance(target, ast.Name)]
     return [
-        name for name in found if not name.startswith("_") and not inspect.ismodule(getattr(module, name))
+        name for name in names if not name.startswith("_") and not inspect.ismodule(getattr(module, name))
     ]
 
 
 @cache
 def public_names() -> tuple[Name, ...]:
-    """Return every public name once; what two modules offer stands under the first."""
-    found: dict[Any, Name] = {}
+    """Return every public name once; a name of two modules is listed under the first."""
+    names: dict[Any, Name] = {}
     for module in API:
         loaded = import_module(module)
         for name in _names_of(loaded):
             item = Name(module, name, getattr(loaded, name))
-            found.setdefault(item.home, item)
+            names.setdefault(item.home, item)
     for path in SHARED:
         module, _, name = path.rpartition(".")
-        found[path] = Name(module, name, getattr(import_module(module), name))
-    return tuple(found.values())
+        names[path] = Name(module, name, getattr(import_module(module), name))
+    return tuple(names.values())
 
 
 def type_links() -> dict[str, str]:
-    """Return where each class stands that a list of parameters may name; none that two modules define."""
-    names = [name for name in public_names() if inspect.isclass(name.value)]
-    alone = {name.name for name in names if sum(other.name == name.name for other in names) == 1}
-    return {name.name: f":class:`{name.name} <{name.path}>`" for name in names if name.name in alone}
+    """Return links to classes by the names that lists of parameters use; none for a name of two classes."""
+    classes = [name for name in public_names() if inspect.isclass(name.value)]
+    counts = Counter(name.name for name in classes)
+    return {name.name: f":class:`{name.name} <{name.path}>`" for name in classes if counts[name.name] == 1}
 
 
 def link_to_public_name(app: Any, env: Any, node: Any, content: Any) -> Any:
@@ -167,18 +168,18 @@ def link_to_public_name(app: Any, env: Any, node: Any, content: Any) -> Any:
             if target and target in (name.home, name.name, f"{name.module}.{name.name}"):
                 domain = env.domains.python_domain
                 role = "meth" if end else name.role
-                found = domain.resolve_xref(
+                link = domain.resolve_xref(
                     env, node["refdoc"], app.builder, role, name.path + end, node, content
                 ) or domain.resolve_xref(
                     env, node["refdoc"], app.builder, "attr", name.path + end, node, content
                 )
-                if found is not None:
-                    return found
+                if link is not None:
+                    return link
     return None
 
 
 def write(docs: Path) -> None:
-    """Write all pages; a file whose text is the same stays, so that Sphinx does not read it again."""
+    """Write all pages; unchanged files are not rewritten, so that Sphinx does not read them again."""
     folder = docs / "_generated"
     pages = {**_api_pages(), **_command_pages(), "formats.md": _formats_page()}
     episodes.write(folder / "episodes")
@@ -190,10 +191,10 @@ def write(docs: Path) -> None:
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
-    wanted = {folder / path for path in pages}
+    page_files = {folder / path for path in pages}
     for kind in ("api", "cli"):
         for file in (folder / kind).iterdir():
-            if file not in wanted:
+            if file not in page_files:
                 file.unlink()
 
 
@@ -225,7 +226,7 @@ def _module_page(module: str) -> str:
     names = [name for name in public_names() if name.module == module and name.path not in SHARED]
     elsewhere = sorted(set(_names_of(loaded)) - {name.name for name in names})
     lines = [*_title(module), f".. py:module:: {module}", "", inspect.cleandoc(loaded.__doc__ or ""), ""]
-    also = [name for name in public_names() for other in elsewhere if getattr(loaded, other) is name.value]
+    also = [name for name in public_names() for alias in elsewhere if getattr(loaded, alias) is name.value]
     if also:
         lines += ["", "Also here: " + ", ".join(f":{name.role}:`{name.path}`" for name in also) + "."]
     return "\n".join([*lines, "", *_listed(names)])
@@ -290,8 +291,8 @@ def _plain_pages(docs: Path, written: Mapping[str, str]) -> dict[str, str]:
     }
     lines = []
     for path, text in pages.items():
-        heading, _, rest = text.partition("\n\n")
-        first = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(rest.partition("\n\n")[0].split()))
+        heading, _, body = text.partition("\n\n")
+        first = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(body.partition("\n\n")[0].split()))
         if heading.startswith("# ") and not path.endswith("index.md"):
             lines.append(f"- [{heading[2:]}]({path}): {first}")
     about = " ".join(pages["index.md"].split("\n\n")[1].split())

@@ -31,7 +31,7 @@ def main() -> None:
     """Write the picture next to this file."""
     source = SyntheticSource()
     meshes = [solidify(source.image(980 + digit * 14).pixels) for digit in range(10)]
-    placed = [(mesh, (0.08 * (place % 5), -0.105 * (place // 5))) for place, mesh in enumerate(meshes)]
+    placed = [(mesh, (0.08 * (digit % 5), -0.105 * (digit // 5))) for digit, mesh in enumerate(meshes)]
     digits = _drawn(placed, CLAY, DIGITS, 0.2)
     scene = starstruck_gen.SceneDataset(size=30, seed=4)[2].mesh
     stars = _drawn([(Mesh(scene.vertices, scene.faces), (0.0, 0.0))], SLATE, SCENE, 0.16)

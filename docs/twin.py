@@ -77,8 +77,7 @@ def side_by_side(model: tactile_sim.SensorModel, folder: Path) -> None:
 def profile(model: tactile_sim.SensorModel, plate: Mesh, folder: Path) -> None:
     """Draw depth along a row of an image that crosses the steps of the plate."""
     sensor = draw_sensor(SENSOR)
-    place = np.array([STEPS_MM]) / 1e3
-    touches = sensor.record({0: plate}, 12, seed=3, at_m=place)
+    touches = sensor.record({0: plate}, 12, seed=3, at_m=np.array([STEPS_MM]) / 1e3)
     # The touch whose steps run most along the rows of the image.
     number = int(np.abs(np.sin(touches.true_poses[:, 2])).argmin())
     read = model.read_depth(touches.images[number : number + 1])
@@ -87,9 +86,10 @@ def profile(model: tactile_sim.SensorModel, plate: Mesh, folder: Path) -> None:
     x_mm = np.arange(touches.images.shape[2]) * touches.mm_per_px
     figure = Figure(figsize=(8.0, 3.0), layout="constrained")
     axes = figure.subplots()
-    found, error = 1e6 * read.depth_m[0, row], 1e6 * read.error_m[0, row]
-    axes.fill_between(x_mm, found - error, found + error, color="C0", alpha=0.3, label="expected error")
-    axes.plot(x_mm, found, "C0", label="read")
+    depth_um, error_um = 1e6 * read.depth_m[0, row], 1e6 * read.error_m[0, row]
+    band_um = depth_um - error_um, depth_um + error_um
+    axes.fill_between(x_mm, *band_um, color="C0", alpha=0.3, label="expected error")
+    axes.plot(x_mm, depth_um, "C0", label="read")
     axes.plot(x_mm, 1e6 * touches.depth_m[number, row], "k--", lw=1, label="true")
     axes.set(xlabel="along a row of the image, mm", ylabel="pressed in, µm")
     axes.spines[["top", "right"]].set_visible(False)
@@ -99,17 +99,17 @@ def profile(model: tactile_sim.SensorModel, plate: Mesh, folder: Path) -> None:
 
 def learning(folder: Path) -> tactile_sim.SensorModel:
     """Draw the errors of a twin over the number of touches; return that of most touches."""
-    found = [score(draw_sensor(SENSOR), count) for count in LEARNING]
+    scores = [score(draw_sensor(SENSOR), count) for count in LEARNING]
     figure = Figure(figsize=(8.0, 3.0), layout="constrained")
     left, right = figure.subplots(1, 2)
-    image_errors = [made.image_error for made, _ in found]
-    depths_um = [made.depth_um for made, _ in found]
+    image_errors = [errors.image_error for errors, _ in scores]
+    depths_um = [errors.depth_um for errors, _ in scores]
     for axes, values, words in ((left, image_errors, "image error / noise"), (right, depths_um, "depth, µm")):
         axes.plot(LEARNING, values, "C0", marker="o")
         axes.set(xlabel="touches", ylabel=words, ylim=(0, 1.1 * max(values)))
         axes.spines[["top", "right"]].set_visible(False)
     save(figure, folder / "twin_learning.png")
-    return found[-1][1]
+    return scores[-1][1]
 
 
 def main() -> None:

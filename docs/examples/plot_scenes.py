@@ -12,9 +12,9 @@ import starstruck_gen
 scenes = starstruck_gen.SceneDataset(size=1_000_000, seed=0)
 
 figure, axes = plt.subplots(1, 4, figsize=(8, 2.3), layout="constrained")
-for each, number in zip(axes, (0, 1, 123_456, 999_999), strict=True):
-    each.imshow(scenes[number].scene.draw())
-    each.set(title=f"scene {number:,}: {scenes[number].star_count}", xticks=[], yticks=[])
+for cell, number in zip(axes, (0, 1, 123_456, 999_999), strict=True):
+    cell.imshow(scenes[number].scene.draw())
+    cell.set(title=f"scene {number:,}: {scenes[number].star_count}", xticks=[], yticks=[])
 plt.show()
 
 # %%
@@ -28,7 +28,7 @@ spec = starstruck_gen.SceneSpec(
 )
 harder = starstruck_gen.SceneDataset(size=12, spec=spec, seed=1)
 figure, axes = plt.subplots(1, 4, figsize=(8, 2.3), layout="constrained")
-for each, record in zip(axes, harder, strict=False):
-    each.imshow(record.scene.draw())
-    each.set(title=f"{record.star_count} stars", xticks=[], yticks=[])
+for cell, record in zip(axes, harder, strict=False):
+    cell.imshow(record.scene.draw())
+    cell.set(title=f"{record.star_count} stars", xticks=[], yticks=[])
 plt.show()
