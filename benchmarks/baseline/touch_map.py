@@ -1,7 +1,7 @@
-"""What was felt so far, drawn on a map of the cell, for many environments at once; and where to go next.
+"""Maps of the surface that was touched, for many environments at once, and the direction to go next.
 
-The map has pixels of 3 mm in the frame of the cell, row 0 at the smallest y. It holds three channels: the
-height that was felt, whether a pixel was seen at all, and what the last touch saw.
+A map has pixels of 3 mm in the frame of the cell, row 0 at the smallest y. Its three channels: the measured
+height, whether any touch has shown a pixel, and whether the last touch has shown it.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 SIDE, PIXEL_MM = 32, 3.0
 REACH_MM = np.array([38.5, 40.5, 20.0])
-"""What positions are observed in parts of: half the cell less its padding; z from 0."""
+"""Positions are observed as fractions of this: half the cell less its padding; z starts at 0."""
 
 OBJECT_CM = 0.1
-"""What is higher than this above the plate belongs to the object."""
+"""Surface that is higher than this above the plate belongs to the object."""
 
 _IMAGE_MM = 14.16
 _PRESS_MM = 2.125
 _STEP_MM = 15.0
-_SEES = 2
-"""How many pixels of the map a touch shows to each side of its middle."""
+_HALF_VIEW = 2
+"""Number of pixels of the map that a touch shows on each side of its middle."""
 
 Floats = NDArray[np.float32]
 
@@ -35,9 +35,9 @@ class TouchMaps:
     Attributes
     ----------
     maps : ndarray of float32, shape (n, 3, 32, 32)
-        Height in centimetres, seen, seen last; in the frame of the cell.
+        Height in centimetres, shown by any touch, shown by the last touch; in the frame of the cell.
     at_mm : ndarray of float32, shape (n, 2)
-        Where the sensor is.
+        Positions of the sensors.
     """
 
     def __init__(self, count: int) -> None:
@@ -49,7 +49,7 @@ class TouchMaps:
         self.maps[:] = 0
 
     def add(self, observation: dict[str, NDArray[Any]]) -> None:
-        """Draw what the environments observe of a touch."""
+        """Draw the observations of a touch in all environments."""
         position_mm = observation["sensor_pos"] * REACH_MM.astype(np.float32)
         position_mm[:, 2] = (observation["sensor_pos"][:, 2] + 1) * REACH_MM[2] / 2
         self.at_mm[:] = position_mm[:, :2]
@@ -62,13 +62,13 @@ class TouchMaps:
         return out
 
     def around_sensor(self) -> Floats:
-        """Return height, seen, and where the sensor may go, (n, 3, 32, 32), with the sensor in the middle."""
+        """Return height, shown, and reach of the sensor, (n, 3, 32, 32), with the sensor in the middle."""
         out = np.zeros_like(self.maps)
         _around_sensor(self.maps, self.at_mm, out)
         return out
 
     def frontier(self) -> Floats:
-        """Return the way (n, 2), in parts of the longest, to where the object goes on and was not seen."""
+        """Return the step (n, 2), as a fraction of the longest, to unknown surface next to the object."""
         out = np.zeros((len(self.maps), 2), np.float32)
         _frontier(self.maps, self.at_mm, out)
         return out
@@ -92,7 +92,7 @@ def _paste(position_mm: Floats, images: Floats, maps: Floats) -> None:
                 if 0 <= i < SIDE and 0 <= j < SIDE:
                     depth = images[n, row, column]
                     count[i, j] += 1
-                    # Where the gel touches nothing, the surface lies lower than it can measure.
+                    # Where the gel touches nothing, the surface is lower than it can measure.
                     if depth < 1:
                         height_mm = position_mm[n, 2] - (1 + depth) * _PRESS_MM
                         total[i, j] += max(np.float32(0), height_mm)
@@ -141,10 +141,10 @@ def _around_sensor(maps: Floats, at_mm: Floats, out: Floats) -> None:
 
 @numba.njit(cache=True)
 def _frontier(maps: Floats, at_mm: Floats, out: Floats) -> None:
-    wanted = np.zeros((SIDE, SIDE), np.float32)
+    gains = np.zeros((SIDE, SIDE), np.float32)
     for n in range(len(maps)):
         is_met = False
-        wanted[:] = 0
+        gains[:] = 0
         for i in range(SIDE):
             for j in range(SIDE):
                 if maps[n, 0, i, j] > OBJECT_CM:
@@ -153,24 +153,24 @@ def _frontier(maps: Floats, at_mm: Floats, out: Floats) -> None:
                         for m in range(max(0, j - 2), min(SIDE, j + 3)):
                             if maps[n, 1, k, m] == 0:
                                 near = 1.0 / (1 + abs(k - i) + abs(m - j))
-                                wanted[k, m] = max(wanted[k, m], near)
+                                gains[k, m] = max(gains[k, m], near)
         if not is_met:  # objects lie in the middle more often than at the edge
             for i in range(SIDE):
                 for j in range(SIDE):
                     if maps[n, 1, i, j] == 0:
                         square = (i - SIDE / 2 + 0.5) ** 2 + (j - SIDE / 2 + 0.5) ** 2
-                        wanted[i, j] = math.exp(-square / 200)
+                        gains[i, j] = math.exp(-square / 200)
         best, best_x, best_y = -np.inf, 0.0, 0.0
-        for i in range(_SEES, SIDE - _SEES):
+        for i in range(_HALF_VIEW, SIDE - _HALF_VIEW):
             y_mm = (i - SIDE / 2 + 0.5) * PIXEL_MM
-            for j in range(_SEES, SIDE - _SEES):
+            for j in range(_HALF_VIEW, SIDE - _HALF_VIEW):
                 x_mm = (j - SIDE / 2 + 0.5) * PIXEL_MM
                 if abs(x_mm) > REACH_MM[0] + 1.5 or abs(y_mm) > REACH_MM[1] + 1.5:
                     continue
                 gain = 0.0
-                for k in range(i - _SEES, i + _SEES + 1):
-                    for m in range(j - _SEES, j + _SEES + 1):
-                        gain += wanted[k, m]
+                for k in range(i - _HALF_VIEW, i + _HALF_VIEW + 1):
+                    for m in range(j - _HALF_VIEW, j + _HALF_VIEW + 1):
+                        gain += gains[k, m]
                 if gain == 0:
                     continue
                 way_mm = math.hypot(x_mm - at_mm[n, 0], y_mm - at_mm[n, 1])

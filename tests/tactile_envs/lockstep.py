@@ -37,24 +37,24 @@ def same_spaces(published: Any, native: Any) -> None:
 
 def same_as_listed(env_id: str, published: Any) -> None:
     """Compare spaces with those in the list of ids."""
-    (each,) = (each for each in tactile_envs.ids() if each.id == env_id)
-    seen, action = published.single_observation_space, published.single_action_space["action"]
-    assert each.observation == {name: space.shape for name, space in seen.items()}, each
-    assert each.action == {name: space.shape for name, space in action.items()}, each
+    (listed,) = (env for env in tactile_envs.ids() if env.id == env_id)
+    observation, action = published.single_observation_space, published.single_action_space["action"]
+    assert listed.observation == {name: space.shape for name, space in observation.items()}, listed
+    assert listed.action == {name: space.shape for name, space in action.items()}, listed
 
 
 def same_step(theirs: Any, ours: Any) -> None:
     """Compare all results of a reset or a step, except the picture."""
-    (there, seen, *outcome), (here, found, *result) = theirs, ours
-    assert seen.keys() == found.keys()
-    assert all(found[name].dtype == seen[name].dtype or name == "sensor_img" for name in seen)
+    (their_env, expected, *their_outcome), (our_env, observation, *our_outcome) = theirs, ours
+    assert expected.keys() == observation.keys()
+    assert all(observation[name].dtype == expected[name].dtype or name == "sensor_img" for name in expected)
     # The published environment leaves its space if a tilted sensor slides out of its limits.
-    assert np.abs(np.clip(seen["sensor_pos"], -1, 1) - found["sensor_pos"]).max() < 5e-5
-    assert (seen["time_step"] == found["time_step"]).all()
-    within_m = 0.5e-6 if "sensor_rot" in found else 1e-12
-    _same_state(there.unwrapped, here, within_m)
-    _same_sensor(outcome[-1], result[-1], within_m)
-    same_outcome(outcome, result)
+    assert np.abs(np.clip(expected["sensor_pos"], -1, 1) - observation["sensor_pos"]).max() < 5e-5
+    assert (expected["time_step"] == observation["time_step"]).all()
+    within_m = 0.5e-6 if "sensor_rot" in observation else 1e-12
+    _same_state(their_env.unwrapped, our_env, within_m)
+    _same_sensor(their_outcome[-1], our_outcome[-1], within_m)
+    same_outcome(their_outcome, our_outcome)
 
 
 def same_outcome(theirs: Any, ours: Any) -> None:
@@ -65,33 +65,34 @@ def same_outcome(theirs: Any, ours: Any) -> None:
     np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-5, atol=1e-6)
     assert (theirs[1] == ours[1]).all()
     assert (theirs[2] == ours[2]).all()
-    one, other = theirs[-1], ours[-1]
-    np.testing.assert_array_equal(other["base_reward"], one["base_reward"])
-    targets = [info["prediction"]["target"] for info in (one, other)]
+    their_info, our_info = theirs[-1], ours[-1]
+    np.testing.assert_array_equal(our_info["base_reward"], their_info["base_reward"])
+    targets = [info["prediction"]["target"] for info in (their_info, our_info)]
     if isinstance(targets[0], dict):
         assert (targets[0]["weight"] == targets[1]["weight"]).all()
         targets = [target["target"] for target in targets]
     np.testing.assert_allclose(targets[1], targets[0], atol=3e-7, rtol=1e-6)
-    losses = [info["prediction"]["loss"] for info in (one, other)]
+    losses = [info["prediction"]["loss"] for info in (their_info, our_info)]
     np.testing.assert_allclose(losses[1], losses[0], rtol=1e-5, atol=1e-6)
-    if "stats" in one:
-        _same_stats(one["stats"], other["stats"])
+    if "stats" in their_info:
+        _same_stats(their_info["stats"], our_info["stats"])
 
 
-def _same_state(there: Any, here: Any, within_m: float) -> None:
-    assert (there.current_data_point_indices == here.current_data_point_indices).all()
-    lying = [env.current_object_poses_platform_frame.matrix for env in (there, here)]
-    assert np.abs(lying[0] - lying[1]).max() < 1e-12
-    theirs, ours = (env.current_sensor_target_poses_platform_frame.matrix for env in (there, here))
+def _same_state(their_env: Any, our_env: Any, within_m: float) -> None:
+    envs = (their_env, our_env)
+    assert (their_env.current_data_point_indices == our_env.current_data_point_indices).all()
+    object_poses = [env.current_object_poses_platform_frame.matrix for env in envs]
+    assert np.abs(object_poses[0] - object_poses[1]).max() < 1e-12
+    theirs, ours = (env.current_sensor_target_poses_platform_frame.matrix for env in envs)
     assert np.abs(theirs - ours)[:, :2].max() < within_m
-    for one, other in zip(there.sensor_pos_limits, here.sensor_pos_limits, strict=True):
-        assert (one == other).all()
+    for their_limit, our_limit in zip(their_env.sensor_pos_limits, our_env.sensor_pos_limits, strict=True):
+        assert (their_limit == our_limit).all()
 
 
 def _same_sensor(theirs: dict[str, Any], ours: dict[str, Any], within_m: float) -> None:
-    one, other = theirs["sensor_pose"].matrix, ours["sensor_pose"]
-    assert np.abs(one - other)[:, :2].max() < within_m
-    assert np.abs(one - other).max() < 0.5e-6
+    difference = np.abs(theirs["sensor_pose"].matrix - ours["sensor_pose"])
+    assert difference[:, :2].max() < within_m
+    assert difference.max() < 0.5e-6
     reached = theirs["depth"] < 4.25e-3
     off = np.abs(theirs["depth"] - ours["depth"])[reached] > 0.5e-6
     assert off.sum() <= 1e-3 * off.size
@@ -107,7 +108,7 @@ def _same_stats(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
         np.testing.assert_allclose(ours["scalar"][name], np.ravel(values), rtol=1e-4, atol=1e-6)
     assert theirs["vector"].keys() == ours["vector"].keys()
     for name, values in theirs["vector"].items():
-        for one, other in zip(values, ours["vector"][name], strict=True):
-            taken, rest = np.split(np.ravel(other), [np.size(one)])
-            np.testing.assert_allclose(taken, np.ravel(one), rtol=1e-4, atol=1e-6)
-            assert np.isnan(rest).all()  # of an episode that is shorter, or continues
+        for expected, padded in zip(values, ours["vector"][name], strict=True):
+            metrics, padding = np.split(np.ravel(padded), [np.size(expected)])
+            np.testing.assert_allclose(metrics, np.ravel(expected), rtol=1e-4, atol=1e-6)
+            assert np.isnan(padding).all()  # of an episode that is shorter, or continues
