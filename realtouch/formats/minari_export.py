@@ -13,6 +13,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any
 
@@ -46,7 +47,7 @@ def plan_minari(
 ) -> conversion.Conversion:
     """Plan Minari datasets; InputError if the touches are not those of recorded episodes."""
     with errors.needs_extra("Minari datasets", "h5py", "hdf5"):
-        pass
+        import_module("h5py")
     if not exports.are_episodes(source.schema):
         raise errors.InputError(
             f"{source.name!r} holds no recorded episodes; Minari datasets hold episodes of a policy",

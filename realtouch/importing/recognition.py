@@ -220,8 +220,13 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
             f"{home.address()!r} is a data set already; it needs no import",
             next="open it with `realtouch.load`",
         )
-    layout = dict(data_set.spec["options"]).get("layout", "folder")
-    return Recognised(str(layout), store.MANIFEST_FILE, True)
+    layout = str(dict(data_set.spec["options"]).get("layout", "folder"))
+    if layout not in touch_options.IMPORT_LAYOUTS:
+        raise errors.InputError(
+            f"{home.address()!r} is an export for {layout}, which is not imported",
+            next="give the data set that it was made of",
+        )
+    return Recognised(layout, store.MANIFEST_FILE, True)
 
 
 def _paths(home: store.DataFolder) -> Sequence[str]:

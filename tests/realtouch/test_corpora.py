@@ -242,10 +242,10 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(tmp_path, monkeypat
 
     source = tmp_path / "source"
     source.mkdir()
-    refused(InputError, "should hold one Zarr group; found none$")
+    refused(InputError, "should hold one Zarr group; found none; next: give the folder")
     for name in ("a.zarr", "b.zarr.zip"):
         (source / name).mkdir(parents=True)
-    refused(InputError, "should hold one Zarr group; found a.zarr, b.zarr.zip$")
+    refused(InputError, "should hold one Zarr group; found a.zarr, b.zarr.zip; next: give the folder")
     (source / "a.zarr").rmdir()
     refused(InputError, "has no arrays in its group 'data'; expected a replay buffer")
     (source / "b.zarr.zip").rmdir()

@@ -332,6 +332,8 @@ def test_minari_reads_its_own_dataset(tmp_path, assets, monkeypatch):
     realtouch.export(tmp_path / "set", again, "minari")
     for path in (again / "minari").rglob("*.*"):
         assert path.read_bytes() == (tmp_path / "out" / path.relative_to(again)).read_bytes()
+    with pytest.raises(InputError, match="is an export for minari, which is not imported"):
+        realtouch.import_touches(again, tmp_path / "never", realtouch.ImportSpec())
     with pytest.raises(InputError, match="Minari datasets hold episodes of a policy"):
         realtouch.export(assets / "real-single", tmp_path / "never", "minari")
 
