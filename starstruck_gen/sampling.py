@@ -347,7 +347,7 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     spec : SceneSpec
         How scenes are made.
     split : str
-        One of :data:`starstruck_gen.sampling.SPLITS`.
+        ``"train"`` or ``"test"``.
     seed : int
         Seed of the data set.
     start, count : int

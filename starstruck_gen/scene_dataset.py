@@ -542,7 +542,7 @@ class SceneDataset(SceneMeshDataset):
     spec : SceneSpec, optional
         How scenes are made; as published by default.
     split : str
-        One of :data:`starstruck_gen.sampling.SPLITS`. Splits never share a scene.
+        ``"train"`` or ``"test"``. Splits never share a scene.
     size : int
         Number of scenes; a scene does not depend on it.
     seed : int

@@ -78,8 +78,8 @@ class MakeOptions:
         ``"published"``. Volumes need the touched digits; classes do not, but pictures show them if `assets`
         are given.
     task : callable, optional
-        Makes another task than that of the id: takes the :class:`~tactile_envs.mesh_pool.MeshPool` of the
-        objects, and returns a :class:`~tactile_envs.tasks.Task`. Not for recorded touches.
+        Makes another task than that of the id: takes the ``tactile_envs.mesh_pool.MeshPool`` of the
+        objects, and returns a ``tactile_envs.tasks.Task``. Not for recorded touches.
     autoreset_mode : gymnasium.vector.AutoresetMode or str
         When the next episode begins; see :class:`tactile_envs.TactileVectorEnv`.
     max_episode_steps : int, optional

@@ -32,7 +32,7 @@ class DigitImage:
     pixels : ndarray of uint8, shape (H, W)
         Grey levels, always dark ink (0) on light paper (255). Row 0 is the top of the digit as it is read.
     writer : int
-        Number of the writer in the source, or :data:`NO_WRITER`.
+        Number of the writer in the source, or -1.
     file : str or None
         Name of the picture, if the source is a folder of files.
     """
@@ -55,7 +55,7 @@ class DigitCatalog:
     labels : ndarray of int64, shape (N,)
         Class of each id, a place in ``class_names``: the digit, 0 to 9.
     writers : ndarray of int64, shape (N,)
-        Writer of each id, or :data:`NO_WRITER`.
+        Writer of each id, or -1 where the source states none.
     class_names : tuple of str
         Names of the classes, the ten digits by default.
     has_files : bool

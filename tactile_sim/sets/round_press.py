@@ -140,7 +140,7 @@ class TouchPreview:
     forces : dict
         ``force_n``, ``torque_n_m``, ``press_depth_m``, ``slide_m`` and ``twist_rad`` of an elastic gel, and
         ``marker_flow_px`` if it has markers, as lists and numbers; empty for other gels. See
-        :class:`~tactile_sim.sets.generation.SyntheticRound`.
+        ``tactile_sim.sets.generation.SyntheticRound``.
     """
 
     picture: UInt8
