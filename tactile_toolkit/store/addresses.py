@@ -149,6 +149,7 @@ class Output:
         ``check`` takes the temporary folder with the files. Raises what it raises, InputError if a file came
         in the way meanwhile, and StorageError if they cannot be written; then nothing was replaced.
         """
+        self.folder.require_folder()
         stage = draft_of(Path(self.folder.root, "output"))
         with named_failures(self.folder.root):
             try:
@@ -175,7 +176,7 @@ def open_output(
     Parameters
     ----------
     path : str or Path
-        A local file, or with ``names`` a folder; folders are made.
+        A local file, or with ``names`` a folder; folders are made when files are written.
     names : sequence of str
         Files of the folder that the command writes.
     overwrite : bool
@@ -196,5 +197,9 @@ def open_output(
     home = local_folder_path(str(path if names else target.parent))
     output = Output(LocalFolder(str(home)), tuple(names) or (target.name,), overwrite, is_alone, next)
     output.require_free()
-    output.folder.require_folder()
+    # A run that is refused leaves no empty folder, so a new one is made by `write`.
+    nearest = home
+    while not nearest.exists():
+        nearest = nearest.parent
+    LocalFolder(str(nearest)).require_folder()
     return output
