@@ -13,6 +13,7 @@ import typer
 from cli import application, options, output, runs
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
 
@@ -21,7 +22,7 @@ _environment_ids = lazy("tactile_envs:ids")
 _episode_generator = lazy("tactile_envs.episodes.recording:EpisodeGenerator.of")
 _episode_spec = lazy("tactile_envs.episodes.playing:EpisodeSpec")
 _replay = lazy("tactile_envs.episodes.replays:replay")
-_evaluate = lazy("tactile_envs.episodes.reports:evaluate")
+_evaluate = lazy("tactile_envs.episodes.evaluation:evaluate")
 _read_report = lazy("tactile_envs.episodes.reports:Report.read")
 _compare = lazy("tactile_envs.episodes.reports:compare")
 _draw_curves = lazy("tactile_envs.episodes.reports:draw_curves")
@@ -166,12 +167,19 @@ def compare(
 
     Example: tactile-envs compare random constant --out curves.png
     """
-    written = None if out is None else store.open_output(out, overwrite=overwrite)
-    held = {path.name: _read_report(path) for path in reports}
+    named = {str(path): path for path in reports}
+    if len(named) < len(reports):
+        raise InputError("names a report twice", next="name each folder once", field="reports")
+    if out is None:
+        _print_reports(sink, {name: _read_report(path) for name, path in named.items()})
+        return
+    if out.suffix.lower() != ".png":
+        raise InputError(f"is {out.name!r}; expected a name that ends with .png", field="out")
+    written = store.open_output(out, overwrite=overwrite)
+    held = {name: _read_report(path) for name, path in named.items()}
     _print_reports(sink, held)
-    if out is not None and written is not None:
-        written.write({out.name: _draw_curves(held)})
-        sink.line(f"the curves are in {out}")
+    written.write({out.name: _draw_curves(held)})
+    sink.line(f"the curves are in {out}")
 
 
 def _print_reports(sink: output.Sink, reports: Mapping[str, Any]) -> None:

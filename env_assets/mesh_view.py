@@ -132,11 +132,12 @@ class MeshView(LazySequence[MeshRecord, "MeshView"]):
 class PlannedView(MeshView):
     """Meshes of a data set that is not made yet: each is made on first use.
 
-    ``finished`` returns the data set once it is made, otherwise None. ``left`` is the number of meshes that
-    were not made when it was planned, which take about ``left_s`` seconds on one core.
+    ``finished`` returns the data set once it is made, otherwise None; ``make_all`` makes it. ``left`` is the
+    number of meshes that were not made when it was planned, which take about ``left_s`` seconds on one core.
     """
 
     finished: Callable[[], RecordDataset[Any] | None] = lambda: None
+    make_all: Callable[[], RecordDataset[Any] | None] = lambda: None
     left: int = 0
     left_s: float = 0.0
 

@@ -217,8 +217,9 @@ class AssetProvider:
             for number, label in zip(plan.ids.tolist(), plan.labels.tolist(), strict=True)
         ]
         finished = partial(self.finished, name, split)
+        make_all = partial(self.meshes, name, split)
         return mesh_view.PlannedView(
-            records, KINDS[name].class_names, False, finished, left, left * plan.row_s
+            records, KINDS[name].class_names, False, finished, make_all, left, left * plan.row_s
         )
 
     def is_being_made(self, name: str) -> bool:

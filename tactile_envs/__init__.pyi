@@ -11,7 +11,8 @@ from .entry_points import (
 )
 from .environment import TactileVectorEnv as TactileVectorEnv
 from .episodes.playing import EpisodeSpec as EpisodeSpec
-from .episodes.reports import Report as Report, compare as compare, evaluate as evaluate
+from .episodes.evaluation import evaluate as evaluate
+from .episodes.reports import Report as Report, compare as compare
 from .episodes.recording import record as record
 from .episodes.replays import replay as replay
 

@@ -162,13 +162,15 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
         raise errors.InputError(
             f"`touches` were given, but those of {name!r} are simulated", next="choose an id with RealSnap"
         )
-    return environment.TactileVectorEnv(
+    env = environment.TactileVectorEnv(
         cells,
         task,
         sparse=spec.sparse,
         render_mode=chosen.render_mode,
         autoreset_mode=chosen.autoreset_mode,
     )
+    env.split = spec.split
+    return env
 
 
 def _require_known(options: Iterable[str], known: Sequence[str]) -> None:

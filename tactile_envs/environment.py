@@ -50,6 +50,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     ----------
     config : EpisodeConfig
         Settings.
+    split : str
+        Split of the objects, as :func:`tactile_envs.make_vector` sets it.
     """
 
     metadata: Info = {  # noqa: RUF012 - as in gymnasium
@@ -87,6 +89,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._observation: Observation = {}
         self._predicted: tuple[AnyArray, AnyArray] | None = None
         self._registration: EnvSpec | None = None
+        self.split = "train"
         self._make_spaces()
 
     def _make_spaces(self) -> None:
@@ -326,6 +329,14 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def objects(self) -> SceneObjects:
         """Describe all objects that episodes may have: ids, classes and files."""
         return self._scene.objects()
+
+    @property
+    def current_contacts(self) -> Bool | None:
+        """Whether the last touches met an object, not only the plate, (n,).
+
+        None where that is not known: for sensors that turn, and for recorded touches.
+        """
+        return self._scene.contacts
 
     @property
     def current_prediction_targets(self) -> AnyArray:

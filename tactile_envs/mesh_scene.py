@@ -9,7 +9,7 @@ from typing import NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from env_assets.mesh_view import MeshRecord, MeshView
+from env_assets.mesh_view import MeshRecord, MeshView, PlannedView
 from realtouch import Poses
 from tactile_envs import episode_kernels, mesh_pool, motion, object_sets, scene
 from tactile_envs.config import Config
@@ -21,7 +21,7 @@ from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_sim.sets.touched_solids import content_fingerprint
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import RecordDataset
@@ -65,6 +65,7 @@ class MeshScene(scene.TouchScene):
             self._elastic = ElasticGel(config, camera.sensor)
             met = self._elastic.sensor
         self._toucher = motion.Toucher(met, config.least_height_m, num_envs, threads)
+        self._met_object = np.zeros(num_envs, np.bool_)
         self._upcoming, self._sensors = np.full(num_envs, -1, np.int64), np.zeros((num_envs, 3))
         self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
         self._poses = np.tile(np.eye(4), (num_envs, 1, 1))  # of sensors, but for where they are
@@ -186,6 +187,7 @@ class MeshScene(scene.TouchScene):
         axes = np.ascontiguousarray(self._axes[rows])
         cells = Cells(self.numbers[rows], draws.lifts_m, axes, sensors, objects)
         touches = self._press(cells, drift, has_depth=has_depth)
+        self._met_object[rows] = ~touches.is_bare
         felt: dict[str, AnyArray] = {}
         if self._elastic is not None:
             touches, felt["force"] = self._elastic.press(touches, sensors, axes, self._motion)
@@ -231,15 +233,22 @@ class MeshScene(scene.TouchScene):
         return tuple(self._records[int(number)] for number in self.numbers)
 
     def objects(self) -> scene.SceneObjects:
-        """Describe all objects; those of a set that is being made are packed first."""
-        self._pool.require(np.arange(len(self._pool)))
+        """Describe all objects; a default set that is not made yet is made."""
         ids, labels = (self._pool.measure(name).astype(np.int64) for name in ("id", "label"))
         view = MeshView.of(self._records)
-        if isinstance(view.records, RecordDataset):
-            files = list(map(content_fingerprint, view.records.files))
+        records: object = view.records
+        if isinstance(view, PlannedView):
+            records = view.make_all()
+        if isinstance(records, RecordDataset):
+            files = list(map(content_fingerprint, records.files))
         else:
             files = list(map(_fingerprint, view.records))
         return scene.SceneObjects(ids, labels, view.label_names, files)
+
+    @property
+    def contacts(self) -> Bool | None:
+        """Whether the last touch of each sensor met its object, not only the plate, (num_envs,)."""
+        return self._met_object.copy()
 
     @property
     def object_poses(self) -> Poses:

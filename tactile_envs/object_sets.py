@@ -86,7 +86,8 @@ def _packed_meanwhile(records: RecordDataset[Any]) -> mesh_view.PlannedView:
         _BEGUN.add(key)
         _say(f"a process in the background prepares {len(records):,} meshes once; episodes begin meanwhile")
         start_background(mesh_pool.MeshPool.of, records)
-    return mesh_view.PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
+    same = partial(_same, records)
+    return mesh_view.PlannedView(records, tuple(records.label_names), finished=same, make_all=same)
 
 
 def _same(records: RecordDataset[Any]) -> RecordDataset[Any]:

@@ -122,6 +122,11 @@ class TouchScene(ABC):
         """Describe all objects, by their numbers; reads the files, which takes seconds for a gigabyte."""
 
     @property
+    def contacts(self) -> Bool | None:
+        """Whether the last touch of each sensor met its object, (num_envs,); None where that is not known."""
+        return None
+
+    @property
     @abstractmethod
     def object_poses(self) -> Poses:
         """Poses of the objects, metres, cell frame."""

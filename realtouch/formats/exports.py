@@ -58,8 +58,8 @@ DEPTH = "observation.images.depth"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 _Episode = tuple[int | None, list[memoryview], dict[str, object]]
 """The touch of a clip (None for all touches of a round), the images of the frames, and columns."""
-_OF_EPISODES = ("action", "prediction", "target", "reward")
-_OF_POLICIES = {"extra.action": ACTION, "extra.reward": "next.reward"}
+_OF_EPISODES = ("action", "prediction", "target", "reward", "terminated")
+_OF_POLICIES = {"extra.action": ACTION, "extra.reward": "next.reward", "extra.terminated": "next.terminated"}
 """Names that other libraries give to what a policy did after a touch, and earned; the last touch has none."""
 FEATURE = "observation."
 """Prefix of the names of further columns, as columns of frames."""

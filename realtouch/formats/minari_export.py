@@ -119,9 +119,9 @@ def _write_episode(group: h5py.Group, episode: pa.Table) -> None:
     for name in ("action", "prediction"):
         group[f"actions/{name}"] = _vectors(episode[name])[:steps]
     group["rewards"] = episode["reward"].to_numpy()[:steps]
-    is_last = np.arange(steps) == steps - 1
-    group["terminations"] = is_last
-    group["truncations"] = np.zeros(steps, np.bool_)
+    terminated = np.asarray(episode["terminated"].combine_chunks())[:steps]
+    group["terminations"] = terminated
+    group["truncations"] = (np.arange(steps) == steps - 1) & ~terminated
     group["infos/target"] = _vectors(episode["target"])
 
 

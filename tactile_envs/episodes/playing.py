@@ -5,23 +5,25 @@ Each group begins with a seed of its own, so it depends on nothing that the envi
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
 from tactile_envs.env_specs import NAMESPACE, env_specs
 from tactile_envs.episodes import policies
-from tactile_toolkit import checked_fields, errors
+from tactile_toolkit import checked_fields, errors, store
 from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.wording import did_you_mean
 
-with errors.needs_extra("episodes", "gymnasium", "envs"):
+with errors.needs_extra("playing episodes", "gymnasium", "envs"):
     import gymnasium
 
     from tactile_envs.config import Action, Info, Observation
@@ -73,11 +75,12 @@ class EpisodeSpec:
         """Return JSON values that decide the episodes, without where the objects are."""
         return {name: value for name, value in asdict(self).items() if name not in _SOURCES}
 
-    @property
-    def split(self) -> str:
-        """Split of the objects: that of the id, "train" for ids of others."""
-        known = env_specs().get(self.env_id)
-        return "train" if known is None else known.split
+    def weights_sha256(self) -> str | None:
+        """Return the digest of the file of weights, if one is given."""
+        if self.weights is None:
+            return None
+        with store.open_regular(Path(self.weights)) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
 
     def group_seed(self, group: int) -> int:
         """Return the seed of a group of episodes."""
@@ -127,6 +130,8 @@ class Touch:
         Poses of the objects after the touch, cell frame; quaternions are x, y, z, w.
     targets : ndarray, shape (n,) or (n, k)
         True answers.
+    contacts : ndarray of bool, shape (n,), or None
+        Whether it met the object; None where that is not known.
     is_observed : ndarray of bool, shape (n,)
         Whether the touch belongs to an episode of the group.
     """
@@ -136,6 +141,7 @@ class Touch:
     object_positions_m: AnyArray
     object_quaternions: AnyArray
     targets: AnyArray
+    contacts: Bool | None
     is_observed: Bool
 
 
@@ -149,6 +155,8 @@ class Taken:
         The parts of the action, one after the other, and the predictions.
     rewards : ndarray of float32, shape (n,)
         Rewards.
+    terminated : ndarray of bool, shape (n,)
+        Whether the episode was terminated, not truncated, by the action.
     has_action : ndarray of bool, shape (n,)
         Whether the action belongs to an episode of the group.
     curves : dict of str to ndarray
@@ -158,6 +166,7 @@ class Taken:
     action: Float32
     predictions: Float32
     rewards: Float32
+    terminated: Bool
     has_action: Bool
     curves: Mapping[str, AnyArray]
 
@@ -201,6 +210,7 @@ class Episodes:
                 np.array(poses.position_m),
                 np.array(poses.quaternion),
                 np.array(env.current_prediction_targets),
+                env.current_contacts,
                 is_observed,
             )
             if not has_action.any():
@@ -211,19 +221,22 @@ class Episodes:
                 observation, info = env.reset(options={"reset_mask": is_over})
             action = policy(observation)
             observation, rewards, terminated, truncated, info = env.step(action)
-            yield touch, self._taken(action, rewards, has_action, info)
+            yield touch, self._taken(action, rewards, terminated, has_action, info.get("stats", {}))
             is_over = terminated | truncated
             is_observed = has_action
             has_action = has_action & ~is_over
 
-    def _taken(self, action: Action, rewards: AnyArray, has_action: Bool, info: Info) -> Taken:
+    def _taken(
+        self, action: Action, rewards: AnyArray, terminated: Bool, has_action: Bool, stats: Info
+    ) -> Taken:
         parts = [np.reshape(action["action"][name], (len(rewards), -1)) for name in self.action_parts]
         return Taken(
             np.concatenate(parts, axis=1, dtype=np.float32),
             np.asarray(action["prediction"], np.float32),
             rewards.astype(np.float32),
+            terminated & has_action,
             has_action,
-            info.get("stats", {}).get("vector", {}),
+            stats.get("vector", {}),
         )
 
 

@@ -16,7 +16,7 @@ from tactile_envs.episodes.kind import KIND
 from tactile_envs.episodes.playing import Episodes, EpisodeSpec, Taken, Touch, episodes_of
 from tactile_envs.episodes.policies import Policy
 from tactile_toolkit import generation, read, rows, store, touch
-from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 _XY, _XYZ, _XYZW = (read.vectors_type(pa.float64(), size) for size in (2, 3, 4))
@@ -26,7 +26,9 @@ _GROUP_BYTES = 8 << 20
 _JPEG_BYTES_PER_PX = 0.25
 _SHARDS = 16
 _OF_TOUCHES = ("sensor_poses", "object_positions_m", "object_quaternions", "targets")
-_OF_ACTIONS = ("action", "predictions", "rewards")
+_OF_ACTIONS = {"action": np.nan, "predictions": np.nan, "rewards": np.nan, "terminated": False}
+"""What is stored of actions, and what stands for a missing one."""
+_CONTACT = "extra.in_contact"
 _ENCODINGS = (("sensor_image.list.element.bytes", "PLAIN"),)
 
 
@@ -71,11 +73,26 @@ class EpisodeRound(rows.TypedRow):
     reward: AnyArray = rows.column(
         pa.list_(pa.float32()), "T", "reward of this action; NaN after the last touch", name="extra.reward"
     )
+    terminated: Bool = rows.column(
+        pa.list_(pa.bool_()),
+        "T",
+        "whether this action terminated the episode; an episode without such an action was truncated",
+        name="extra.terminated",
+    )
+    in_contact: Bool | None = rows.column(
+        pa.list_(pa.bool_()),
+        "T",
+        "whether the touch met the object, not only the plate; only for sensors that stay upright",
+        name=_CONTACT,
+        default=None,
+    )
 
 
 class _Form(NamedTuple):
-    """What the environments decide about a data set: vectors of the action, targets, objects."""
+    """What the environments decide about a data set: split, vectors of the action, targets, objects."""
 
+    split: str
+    knows_contact: bool
     action_parts: dict[str, int]
     predictions: int
     target_type: pa.DataType
@@ -92,7 +109,14 @@ class _Form(NamedTuple):
         targets = env.current_prediction_targets
         leaf = pa.from_numpy_dtype(targets.dtype)
         target_type = pa.list_(leaf) if targets.ndim == 1 else read.vectors_type(leaf, targets.shape[1])
-        return cls(episodes.action_parts, env.prediction_space.shape[1], target_type, *env.objects())
+        return cls(
+            env.split,
+            env.current_contacts is not None,
+            episodes.action_parts,
+            env.prediction_space.shape[1],
+            target_type,
+            *env.objects(),
+        )
 
 
 @dataclass(frozen=True)
@@ -117,12 +141,12 @@ class EpisodeGenerator(generation.RowGenerator):
         """Return what decides the episodes: specification, policy, and digests of the objects."""
         options = self.spec.to_dict()
         options |= {"policy": self.policy_facts, "image_format": self.image_format}
-        options |= {"action": self.form.action_parts}
-        return {"operation": "record", "options": options, "source": {self.spec.split: self.form.files}}
+        options |= {"action": self.form.action_parts, "weights": self.spec.weights_sha256()}
+        return {"operation": "record", "options": options, "source": {self.form.split: self.form.files}}
 
     def items(self) -> Mapping[str, range]:
         """Return the episodes."""
-        return {self.spec.split: range(self.spec.episodes)}
+        return {self.form.split: range(self.spec.episodes)}
 
     def layout(self) -> generation.StorageLayout:
         """Return the storage layout of rows; a shard has whole groups, as one costs as much as all of it."""
@@ -151,7 +175,9 @@ class EpisodeGenerator(generation.RowGenerator):
             "extra.prediction": read.vectors_type(pa.float32(), self.form.predictions),
             "extra.target": self.form.target_type,
         }
-        stored = EpisodeRound.plain_schema()
+        stored = list(EpisodeRound.plain_schema())
+        if not self.form.knows_contact:
+            stored = [column for column in stored if column.name != _CONTACT]
         schema = pa.schema([pa.field(column.name, types.get(column.name, column.type)) for column in stored])
         return touch.with_features(schema, self.form.label_names)
 
@@ -178,10 +204,9 @@ class EpisodeGenerator(generation.RowGenerator):
             for index in chosen:
                 if touched.is_observed[index]:
                     images[index].append(touch.encode_image(pixels[index], self.image_format, _QUALITY))
-        stacked = {
-            name: np.stack([getattr(touched, name) for touched in touches], axis=1) for name in _OF_TOUCHES
-        }
-        done = {name: _actions(actions, name, len(touches)) for name in _OF_ACTIONS}
+        names = [*_OF_TOUCHES, *["contacts"][: self.form.knows_contact]]
+        stacked = {name: np.stack([getattr(touched, name) for touched in touches], axis=1) for name in names}
+        done = {name: _actions(actions, name, len(touches), missing) for name, missing in _OF_ACTIONS.items()}
         suffix = touch.IMAGE_SUFFIX[self.image_format]
         for index in chosen:
             count = len(images[index])
@@ -189,7 +214,7 @@ class EpisodeGenerator(generation.RowGenerator):
             of_action = {name: values[index, :count] for name, values in done.items()}
             poses = of_touch["sensor_poses"]
             yield EpisodeRound(
-                id=f"{self.spec.split}-{group * self.spec.num_envs + index}",
+                id=f"{self.form.split}-{group * self.spec.num_envs + index}",
                 label=int(self.form.labels[objects[index]]),
                 object_id=int(self.form.ids[objects[index]]),
                 moved_position_m=of_touch["object_positions_m"],
@@ -203,6 +228,8 @@ class EpisodeGenerator(generation.RowGenerator):
                 prediction=of_action["predictions"],
                 target=of_touch["targets"],
                 reward=of_action["rewards"],
+                terminated=of_action["terminated"],
+                in_contact=of_touch.get("contacts"),
             )
 
     def statistics(self, rows: Sequence[EpisodeRound]) -> Mapping[str, float]:
@@ -219,13 +246,12 @@ def image_levels(images: AnyArray) -> UInt8:
     return levels[..., 0] if levels.shape[-1] == 1 else levels
 
 
-def _actions(actions: Sequence[Taken], name: str, count: int) -> AnyArray:
-    """Return what was done after each of ``count`` touches, (n, count, ...); NaN where no action followed."""
+def _actions(actions: Sequence[Taken], name: str, count: int, missing: object) -> AnyArray:
+    """Return what was done after each of ``count`` touches, (n, count, ...); ``missing`` elsewhere."""
     values = np.stack([getattr(taken, name) for taken in actions], axis=1)
-    missing = ~np.stack([taken.has_action for taken in actions], axis=1)
-    values[missing] = np.nan
-    last = np.full((len(values), count - values.shape[1], *values.shape[2:]), np.nan, np.float32)
-    return np.concatenate([values, last], axis=1)
+    values[~np.stack([taken.has_action for taken in actions], axis=1)] = missing
+    shape = len(values), count - values.shape[1], *values.shape[2:]
+    return np.concatenate([values, np.full(shape, missing, values.dtype)], axis=1)
 
 
 def record(

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import realtouch
-from tactile_envs.config import Action, Observation
-from tactile_envs.environment import TactileVectorEnv
 from tactile_envs.episodes.playing import EpisodeSpec
 from tactile_envs.episodes.recording import EpisodeGenerator, EpisodeRound
 from tactile_toolkit import places
 from tactile_toolkit.errors import InputError
+
+if TYPE_CHECKING:
+    from tactile_envs.config import Action, Observation
+    from tactile_envs.environment import TactileVectorEnv
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +32,11 @@ class Replay:
 class _Recorded:
     """The policy that repeats the actions of some recorded episodes; the others of a group stay still."""
 
-    def __init__(self, rounds: Mapping[int, realtouch.TouchSingleRound], spec: EpisodeSpec) -> None:
-        self._rounds, self._spec = rounds, spec
+    def __init__(self, rounds: Mapping[int, realtouch.TouchSingleRound]) -> None:
+        self._done = {
+            index: (held.extra["action"], held.extra["prediction"], held.touch_count - 1)
+            for index, held in rounds.items()
+        }
 
     def begin(self, env: TactileVectorEnv, seed: int) -> None:
         """Begin with the first touch."""
@@ -42,15 +48,15 @@ class _Recorded:
         """Return what was done after this touch."""
         parts = {name: np.zeros(part.shape, np.float32) for name, part in self._parts.items()}
         predictions = self._still.copy()
-        for index, held in self._rounds.items():
-            action = held.extra["action"][self._touch : self._touch + 1]
-            if not len(action) or np.isnan(action).any():
+        for index, (actions, recorded, steps) in self._done.items():
+            if self._touch >= steps:
                 continue
-            predictions[index] = held.extra["prediction"][self._touch]
+            predictions[index] = recorded[self._touch]
             first = 0
             for values in parts.values():
-                values[index] = action[0, first : first + values[index].size].reshape(values[index].shape)
-                first += values[index].size
+                end = first + values[index].size
+                values[index] = actions[self._touch, first:end].reshape(values[index].shape)
+                first = end
         self._touch += 1
         return {"action": parts, "prediction": predictions}
 
@@ -95,20 +101,25 @@ def replay(
     stated = {name: options[name] for name in ("env_id", "episodes", "num_envs", "seed", "settings")}
     spec = EpisodeSpec(**stated, assets=assets, touches=touches, weights=weights)
     generator = EpisodeGenerator.of(spec, "constant", options["image_format"])
-    if generator.form.files != manifest.spec["source"][spec.split]:
-        raise InputError(
-            f"the objects of the environment are not those of {place.name!r}",
-            next="give the objects that were recorded as assets",
-            field="assets",
-        )
-    rounds = realtouch.load(place, split=spec.split)
+    split = generator.form.split
+    for field, recorded_value, value in (
+        ("assets", manifest.spec["source"].get(split), generator.form.files),
+        ("weights", options["weights"], spec.weights_sha256()),
+    ):
+        if recorded_value != value:
+            raise InputError(
+                f"differs from what {place.name!r} was recorded with; other {field} give other images",
+                next=f"give the {field} of the recording",
+                field=field,
+            )
+    rounds = realtouch.load(place, split=split)
     assert isinstance(rounds, realtouch.TouchSingleDataset), "an episode has an image for each touch"
     count = 0
     for first in range(0, min(len(rounds), limit or len(rounds)), spec.num_envs):
         numbers = range(first, min(first + spec.num_envs, len(rounds)))
         recorded = {number - first: rounds[number] for number in numbers}
-        again = replace(generator, policy=_Recorded(recorded, spec))
-        for number, made in zip(numbers, again.make(spec.split, numbers), strict=True):
+        again = replace(generator, policy=_Recorded(recorded))
+        for number, made in zip(numbers, again.make(split, numbers), strict=True):
             difference = _difference(recorded[number - first], made)
             count += len(made.images)
             if difference is not None:

@@ -1,7 +1,6 @@
-"""Reports of policies: every metric of an environment over seeds, with intervals over objects.
+"""Reports of policies: how they are stored, compared and drawn.
 
-The protocol is that of the paper: the average over the steps of an episode and its final value, means over
-seeds. An interval is that of other objects: it holds 95 % of the means of objects that are drawn again.
+Reports are files of others: they are read as data sets are, bounded and checked.
 """
 
 from __future__ import annotations
@@ -9,32 +8,17 @@ from __future__ import annotations
 import io
 import json
 import os
-import platform
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
-from functools import partial
-from importlib.metadata import version
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
-from tactile_envs.episodes import policies
-from tactile_envs.episodes.playing import EpisodeSpec, episodes_of
-from tactile_envs.episodes.policies import Policy
-from tactile_toolkit import cards, checked_fields, errors, run, store, wording
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit import cards, errors, store, wording
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
-_RESAMPLED = 2000
-_INTERVAL = (2.5, 97.5)
-_LIBRARIES = ("tactile-toolkit", "ap-gym", "gymnasium", "numpy", "scipy", "numba")
 REPORT_FILES = ("report.json", "report.md", "report.png")
 """Files of a report."""
-
-Curves = tuple[Int64, dict[str, Float64]]
-"""Object of each episode (n,), and each metric at all of its steps (n, T)."""
+_MAX_BYTES = 64 << 20  # of report.json: 100,000 steps of 20 metrics
 
 
 @dataclass(frozen=True)
@@ -57,7 +41,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class Report:
-    """Result of :func:`evaluate`.
+    """Result of :func:`tactile_envs.evaluate`.
 
     Attributes
     ----------
@@ -114,125 +98,16 @@ class Report:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Report:
         """Read the report of a folder; InputError if there is none, or it is damaged."""
-        file = Path(path) / REPORT_FILES[0]
+        folder = store.open_folder(os.fspath(path))
+        address = folder.address(REPORT_FILES[0])
         try:
-            stored = json.loads(file.read_bytes())
-            metrics = {
-                name: Metric(Summary(**values["average"]), Summary(**values["final"]), values["by_step"])
-                for name, values in stored["metrics"].items()
-            }
-            return cls(stored["protocol"], stored["policy"], metrics, stored["run"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            with folder.open_inside(REPORT_FILES[0]) as stream:
+                return store.decode(stream.read(_MAX_BYTES), cls, address)
+        except (errors.ItemError, errors.IntegrityError) as error:
             raise InputError(
-                f"{str(file)!r} is no report: {error}",
+                f"{address!r} is no report: {error.what}",
                 next="name a folder that `tactile-envs evaluate` wrote",
             ) from error
-
-
-def evaluate(
-    spec: EpisodeSpec,
-    policy: str | Policy,
-    *,
-    seeds: int = 5,
-    workers: int | run.Runner = 1,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Report:
-    """Evaluate a policy: all metrics of its episodes, over several seeds.
-
-    Parameters
-    ----------
-    spec : EpisodeSpec
-        Environment, and number of episodes of each seed; ``spec.seed`` is the first seed.
-    policy : str or callable
-        As for :func:`tactile_envs.record`.
-    seeds : int
-        Number of seeds.
-    workers : int or Runner
-        Number of processes; the report is the same for any number. With several, the policy must be
-        picklable.
-    on_progress : callable
-        Called with the number of groups of episodes that are finished, and that of all.
-
-    Returns
-    -------
-    Report
-        The figures, and what decided them.
-
-    Raises
-    ------
-    InputError
-        The id, a setting, the policy or the objects cannot be used.
-    """
-    start_s = time.monotonic()
-    checked_fields.checked_integer(seeds, "seeds", 1)
-    specs = [replace(spec, seed=spec.seed + number) for number in range(seeds)]
-    made = policies.policy_named(policy)
-    facts = policies.fingerprint(made)
-    objects = episodes_of(spec).env.objects()
-    groups = [(own, group) for own in specs for group in range(-(-spec.episodes // spec.num_envs))]
-    held: dict[tuple[int, int], Curves] = {}
-    for number, curves in run.runner_for(workers).run(partial(_curves, made), groups):
-        held[number] = curves
-        on_progress(len(held), len(groups))
-    keys = [(own.seed, group) for own, group in groups]
-    rows = np.concatenate([held[key][0] for key in keys])
-    metrics = {
-        name: _metric(rows, np.concatenate([held[key][1][name] for key in keys])) for name in held[keys[0]][1]
-    }
-    protocol = {
-        **spec.to_dict(),
-        "seeds": seeds,
-        "split": spec.split,
-        "objects": objects.files,
-    }
-    facts_of_run = {
-        "versions": {name: version(name) for name in _LIBRARIES},
-        "processor": platform.processor() or platform.machine(),
-        "date": time.strftime("%Y-%m-%d"),
-        "duration_s": round(time.monotonic() - start_s, 1),
-    }
-    return Report(protocol, facts, metrics, facts_of_run)
-
-
-def _curves(policy: Policy, group: tuple[EpisodeSpec, int]) -> tuple[tuple[int, int], Curves]:
-    """Play a group of episodes of a seed; return the key of the group, and its curves."""
-    spec, number = group
-    episodes = episodes_of(spec)
-    count = min(spec.num_envs, spec.episodes - number * spec.num_envs)
-    values: dict[str, Float64] = {}
-    objects: Int64 | None = None
-    for _, taken in episodes.play(policy, number):
-        if objects is None:
-            objects = episodes.env.current_data_point_indices
-        if taken is None:
-            break
-        for name, curve in taken.curves.items():
-            if name.startswith("_"):
-                continue
-            ended = taken.curves[f"_{name}"] & taken.has_action
-            whole = values.setdefault(name, np.full((spec.num_envs, episodes.env.config.step_limit), np.nan))
-            whole[ended, : curve.shape[1]] = curve[ended]
-    assert objects is not None, "a group has a touch"
-    return (spec.seed, number), (objects[:count], {name: whole[:count] for name, whole in values.items()})
-
-
-def _metric(objects: Int64, curves: Float64) -> Metric:
-    """Summarise a metric at all steps (n, T) of episodes with some objects (n,); NaN after their end."""
-    steps = (~np.isnan(curves)).sum(axis=1)
-    final = curves[np.arange(len(curves)), steps - 1]
-    by_step = np.nanmean(curves, axis=0)
-    return Metric(_summary(objects, np.nanmean(curves, axis=1)), _summary(objects, final), by_step.tolist())
-
-
-def _summary(objects: Int64, values: Float64) -> Summary:
-    """Return the mean of episodes, and its interval if objects are drawn again with all of their episodes."""
-    _, numbers = np.unique(objects, return_inverse=True)
-    sums, counts = np.bincount(numbers, values), np.bincount(numbers)
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(len(sums), size=(_RESAMPLED, len(sums)))
-    means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
-    low, high = np.percentile(means, _INTERVAL)
-    return Summary(float(values.mean()), float(low), float(high))
 
 
 def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
@@ -245,12 +120,13 @@ def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
     """
     first_name, first = next(iter(reports.items()))
     for name, report in reports.items():
-        for key, value in first.protocol.items():
-            if report.protocol.get(key) != value:
-                values = (wording.shortened(str(held), 80) for held in (value, report.protocol.get(key)))
+        both = [_compared(first), _compared(report)]
+        for key in dict.fromkeys([*both[0], *both[1]]):
+            values = [protocol.get(key) for protocol in both]
+            if values[0] != values[1]:
+                shown = " and ".join(wording.shortened(str(value), 80) for value in values)
                 raise InputError(
-                    f"the reports {first_name!r} and {name!r} have another protocol: {key} is "
-                    f"{' and '.join(values)}",
+                    f"the reports {first_name!r} and {name!r} have another protocol: {key} is {shown}",
                     next="evaluate both policies with the same options and objects",
                 )
     return [
@@ -258,6 +134,11 @@ def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
         for metric in first.metrics
         for kind in ("average", "final")
     ]
+
+
+def _compared(report: Report) -> JsonDict:
+    """Return all that must agree between two reports."""
+    return {**report.protocol, "metrics": list(report.metrics)}
 
 
 def draw_curves(reports: Mapping[str, Report]) -> bytes:

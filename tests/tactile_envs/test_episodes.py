@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import json
+import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +19,11 @@ pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym
 
 import realtouch
+from env_assets.mesh_view import PlannedView
 from tactile_envs import tasks
 from tactile_envs.config import Action, Observation
 from tactile_envs.entry_points import make_vector
-from tactile_envs.episodes import policies, recording, replays, reports
+from tactile_envs.episodes import evaluation, policies, recording, replays, reports
 from tactile_envs.episodes.playing import EpisodeSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tests.cli.test_cards_cli import blocks, run_block
@@ -65,7 +70,7 @@ def test_a_recording_has_what_the_environment_gave(tmp_path, assets):
         held = rounds[2 * group : 2 * group + 2]
         for step in range(env.config.step_limit):
             action = policy(observation)
-            before, poses = observation, info["sensor_pose"]
+            before, poses = copy.deepcopy(observation), info["sensor_pose"]
             observation, reward, _, _, info = env.step(action)
             for index, stored in enumerate(held):
                 assert stored.extra["reward"][step] == np.float32(reward[index])
@@ -84,6 +89,15 @@ def test_a_recording_has_what_the_environment_gave(tmp_path, assets):
             assert stored.object_id == env.current_data_points[index].id
             assert np.isnan(stored.extra["reward"][-1])
             assert np.isnan(stored.extra["action"][-1]).all()
+            assert stored.extra["terminated"].tolist() == [False] * 15 + [True, False]
+            # The gel of an upright sensor stops higher than on the plate only where it meets the object.
+            heights_m = stored.gel_pose_cell_frame.position_m[:, 2]
+            expected = heights_m > env.config.penetration_depth + 1e-6
+            np.testing.assert_array_equal(stored.extra["in_contact"], expected)
+    touches = rounds.touches()
+    in_contact = np.concatenate([held.extra["in_contact"] for held in rounds])
+    assert 0 < in_contact.sum() < len(touches)
+    assert len(touches.with_contact()) == in_contact.sum()
 
 
 def test_bytes_do_not_depend_on_workers_parts_or_interruptions(tmp_path, assets):
@@ -130,7 +144,7 @@ def test_a_replay_refuses_other_objects_and_other_sets(tmp_path, assets):
         path = tmp_path / "others" / str(label) / "box.stl"
         path.parent.mkdir(parents=True)
         trimesh.creation.box((20.0, 12.0, height_mm)).export(path)
-    with pytest.raises(InputError, match="the objects of the environment are not those of"):
+    with pytest.raises(InputError, match="assets differs from what"):
         replays.replay(tmp_path / "set", assets=tmp_path / "others")
 
 
@@ -147,12 +161,15 @@ def test_episodes_of_recorded_touches_may_end_early(tmp_path, assets):
         assert np.isnan(held.extra["reward"][-1])
         assert np.isfinite(held.extra["reward"][:-1]).all()
     assert replays.replay(tmp_path / "set", assets=assets).difference is None
-    report = reports.evaluate(spec, "oracle", seeds=2)
+    report = evaluation.evaluate(spec, "oracle", seeds=2)
     assert report.metrics["accuracy"].final.mean == 1.0
+    assert set(report.metrics["accuracy"].by_step) == {1.0}
+    assert any(not held.extra["terminated"].any() for held in rounds)
+    assert "in_contact" not in rounds[0].extra
 
 
 def _report(policy: str, assets: Path, **options: Any) -> reports.Report:
-    return reports.evaluate(EpisodeSpec(ID, 48, 16, assets=assets), policy, **{"seeds": 2, **options})
+    return evaluation.evaluate(EpisodeSpec(ID, 48, 16, assets=assets), policy, **{"seeds": 2, **options})
 
 
 def test_known_policies_give_known_figures(tmp_path, assets):
@@ -170,7 +187,7 @@ def test_known_policies_give_known_figures(tmp_path, assets):
     assert constant.final.mean == constant.average.mean == pytest.approx(np.mean(share), abs=1e-12)
     random = _report("random", assets).metrics["accuracy"]
     assert random.average.low < 0.1 < random.average.high
-    volume = reports.evaluate(
+    volume = evaluation.evaluate(
         EpisodeSpec("TactileMNISTVolume-Depth-test-v0", 4, assets=assets), "oracle", seeds=1
     )
     assert volume.metrics["abs_error_cm3"].average.high < 1e-5
@@ -203,7 +220,7 @@ def test_the_interval_is_that_of_objects_drawn_again():
     rng = np.random.default_rng(5)
     objects = np.repeat(np.arange(400), 10)
     of_object = rng.normal(size=400)
-    summary = reports._summary(objects, of_object[objects])
+    summary = evaluation._summary(objects, of_object[objects])
     error = of_object.std() / np.sqrt(400)
     assert summary.mean == pytest.approx(of_object.mean())
     assert summary.high - summary.low == pytest.approx(2 * 1.96 * error, rel=0.1)
@@ -227,6 +244,56 @@ def test_reports_are_the_same_from_any_workers_and_are_compared_only_if_alike(tm
         reports.compare({"a": one, "c": other})
     with pytest.raises(InputError, match="no report"):
         reports.Report.read(tmp_path)
+
+
+def _damage(kind: str, file: Path) -> None:
+    """Replace a report by what is no report."""
+    stored = json.loads(file.read_bytes())
+    changed = {
+        "types": {**stored, "protocol": 3},
+        "values": {**stored, "metrics": {"accuracy": {"average": {"mean": "high"}}}},
+        "fields": {"metrics": {}},
+    }
+    file.unlink()
+    if kind in changed:
+        file.write_text(json.dumps(changed[kind]))
+    elif kind == "cut":
+        file.write_text(json.dumps(stored)[:300])
+    elif kind == "nested":
+        file.write_text("[" * 100_000)
+    elif kind == "link":
+        file.symlink_to("/etc/passwd")
+    elif kind == "pipe":
+        os.mkfifo(file)
+
+
+@pytest.mark.parametrize("kind", ["types", "values", "fields", "cut", "nested", "link", "pipe", "missing"])
+def test_what_is_no_report_is_refused(kind, tmp_path):
+    if kind == "pipe" and not hasattr(os, "mkfifo"):
+        pytest.skip("this system has no named pipes")
+    pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
+    summary = reports.Summary(0.5, 0.4, 0.6)
+    metrics = {"accuracy": reports.Metric(summary, summary, [0.5])}
+    protocol = {"env_id": ID, "settings": {}, "episodes": 1, "seeds": 1, "objects": [], "split": "test"}
+    report = reports.Report(protocol, {"name": "mine", "sha256": None}, metrics, {"versions": {}})
+    report.write(tmp_path)
+    assert reports.Report.read(tmp_path) == report
+    _damage(kind, tmp_path / "report.json")
+    with pytest.raises(InputError, match=r"is no report: .*next: name a folder that `tactile-envs evaluate`"):
+        reports.Report.read(tmp_path)
+    with pytest.raises(InputError, match=r"metrics is .* and "):
+        reports.compare({"a": report, "b": replace(report, metrics={})})
+
+
+def test_objects_are_described_alike_while_they_are_made(assets):
+    """A default set is made while episodes begin; its digests are those of the finished files."""
+    env = make_vector(ID, num_envs=1, assets=assets)
+    finished = env.objects()
+    records = env._scene._records.records if hasattr(env._scene._records, "records") else env._scene._records
+    env._scene._records = PlannedView(list(records), finished.label_names, make_all=lambda: records)
+    again = env.objects()
+    assert again.files == finished.files
+    assert [file["rows"] for file in again.files] == [10]
 
 
 @pytest.mark.parametrize(
@@ -328,6 +395,13 @@ def test_minari_reads_its_own_dataset(tmp_path, assets, monkeypatch):
         assert episodes.action_space.contains({name: values[3] for name, values in episode.actions.items()})
     assert len(episodes.filter_episodes(lambda episode: episode.rewards[0] < -1)) < 7
     assert [len(part) for part in minari.split_dataset(episodes, [4, 3])] == [4, 3]
+    spec = EpisodeSpec(ID, 2, settings={"timeout_behavior": "truncate"}, assets=assets)
+    recording.record(spec, "random", tmp_path / "cut")
+    realtouch.export(tmp_path / "cut", tmp_path / "out2", "minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "out2" / "minari"))
+    for episode in minari.load_dataset("tactile/test-v0"):
+        assert not episode.terminations.any()
+        assert episode.truncations.tolist() == [False] * 15 + [True]
     again = tmp_path / "again"
     realtouch.export(tmp_path / "set", again, "minari")
     for path in (again / "minari").rglob("*.*"):
@@ -383,6 +457,12 @@ def test_the_command_line_records_replays_evaluates_and_compares(tmp_path, asset
         assert call(*evaluate, "--policy", policy, "--out", policy) == 0
     assert call("tactile-envs", "compare", "constant", "oracle", "--out", "curves.png") == 0
     assert "1 (1 to 1)" in capsys.readouterr().out
+    for words, message in (
+        (("constant", "./constant/"), "names a report twice"),
+        (("constant", "--out", "curves.pdf"), "ends with .png"),
+    ):
+        assert call("tactile-envs", "compare", *words) == 2
+        assert message in capsys.readouterr().err
     assert (tmp_path / "curves.png").stat().st_size > 5000
     monkeypatch.setattr(recording, "_QUALITY", 40)
     assert call("tactile-envs", "replay", "episodes", *objects) == 1
