@@ -94,6 +94,11 @@ def pytest_runtest_call() -> Generator[None, Any, Any]:
         raise
 
 
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Name a case of bytes by its argument: their content may hold a time, and differ between two workers."""
+    return argname if isinstance(val, bytes) else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Leave one case of each test that asks for it to the desk, and begin with the longest tests.

@@ -114,9 +114,10 @@ def replay(
             )
     rounds = realtouch.load(place, split=split)
     assert isinstance(rounds, realtouch.TouchSingleDataset), "an episode has an image for each touch"
+    total = min(len(rounds), limit or len(rounds))
     count = 0
-    for first in range(0, min(len(rounds), limit or len(rounds)), spec.num_envs):
-        numbers = range(first, min(first + spec.num_envs, len(rounds)))
+    for first in range(0, total, spec.num_envs):
+        numbers = range(first, min(first + spec.num_envs, total))
         recorded = {number - first: rounds[number] for number in numbers}
         again = replace(generator, policy=_Recorded(recorded))
         for number, made in zip(numbers, again.make(split, numbers), strict=True):
@@ -124,8 +125,8 @@ def replay(
             count += len(made.images)
             if difference is not None:
                 return Replay(number + 1, count, f"episode {made.id}: {difference}")
-        on_progress(numbers.stop, len(rounds))
-    return Replay(numbers.stop, count, None)
+        on_progress(numbers.stop, total)
+    return Replay(total, count, None)
 
 
 def _difference(stored: realtouch.TouchSingleRound, made: EpisodeRound) -> str | None:

@@ -126,6 +126,7 @@ def test_bytes_do_not_depend_on_workers_parts_or_interruptions(tmp_path, assets)
 def test_a_replay_gives_the_same_or_names_the_first_difference(tmp_path, assets, monkeypatch):
     _record(tmp_path / "set", assets)
     assert replays.replay(tmp_path / "set", assets=assets) == replays.Replay(7, 7 * 17, None)
+    assert replays.replay(tmp_path / "set", assets=assets, limit=3).episodes == 3
     monkeypatch.setattr(recording, "_QUALITY", 50)
     changed = replays.replay(tmp_path / "set", assets=assets)
     assert changed.difference == "episode test-0: touch 0 has another image"
