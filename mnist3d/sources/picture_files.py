@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-from PIL import Image, ImageOps, UnidentifiedImageError, features
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from mnist3d.ink import photographs
 from mnist3d.ink.grey_levels import (
@@ -202,26 +202,10 @@ def _is_page(picture: Image.Image, number: int) -> bool:
     return not kind & _COPY_OR_MASK
 
 
-@functools.cache
-def _formats() -> tuple[str, ...]:
-    """Return the formats that can be read here; AVIF and HEIF depend on how Pillow was built."""
-    known = [name for name in touch.PICTURE_ENDINGS if name not in ("TGA", "HEIF")]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not features.check("avif"):
-            known.remove("AVIF")
-    try:  # installed by the extra heic
-        from pillow_heif import register_heif_opener
-    except ImportError:
-        return tuple(known)
-    register_heif_opener()
-    return (*known, "HEIF")
-
-
 def _readable_formats(path: Path) -> tuple[str, ...]:
     """Return the formats that a file may have."""
-    # TGA has no signature, so nearly every file can pass for it.
-    return (*_formats(), "TGA") if path.suffix.lower() in touch.PICTURE_ENDINGS["TGA"] else _formats()
+    formats = touch.picture_formats()
+    return (*formats, "TGA") if path.suffix.lower() in touch.PICTURE_ENDINGS["TGA"] else formats
 
 
 @contextmanager
@@ -274,7 +258,7 @@ def _named_errors(path: Path) -> Iterator[None]:
         if (
             ending in touch.PICTURE_ENDINGS["HEIF"]
             and isinstance(error, UnidentifiedImageError)
-            and "HEIF" not in _formats()
+            and "HEIF" not in touch.picture_formats()
         ):
             next_step = f"{install_line('heic')}, or store it as JPEG"
         message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"

@@ -18,6 +18,7 @@ from .images import (
     MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
     MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
     MEDIA_TYPE as MEDIA_TYPE,
+    picture_formats as picture_formats,
     PICTURE_ENDINGS as PICTURE_ENDINGS,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,

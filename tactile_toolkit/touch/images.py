@@ -6,9 +6,11 @@ interpreter lock is released while it works.
 
 from __future__ import annotations
 
+import functools
 import io
 import re
 import struct
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -17,11 +19,11 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 import simplejpeg
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError, features
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, UInt8
-from tactile_toolkit.errors import ItemError
+from tactile_toolkit.errors import ItemError, install_line
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.read import schemas
 
@@ -54,14 +56,22 @@ PICTURE_ENDINGS = {
     "HEIF": (".heic", ".heif"),
 }
 """Endings of picture files by the name of their format in Pillow, in lower case."""
-# Formats whose pixels a PNG holds; TGA has no signature, so nearly every file would pass for it.
-_CONVERTED = ("BMP", "GIF", "PPM", "TIFF")
+# Data sets store these as they are. TGA has no signature, so nearly every file would pass for it.
+_NOT_CONVERTED = ("PNG", "JPEG", "WEBP", "TGA")
+_HEIF_STARTS = (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypmsf1")
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_END = b"\xff\xd9"
 _APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
 _ORIENTATION = 0x0112
 _BITS_PER_SAMPLE = 0x0102  # tag of TIFF
+# Pillow reduces these to 8 bits a colour without a word. In JPEG 2000, the number is one less than the bits
+# (ITU-T T.800, A.5.1); in the others it is that of the first channel (ISO/IEC 23008-12, 6.5.6).
+_STATED_BITS = {
+    "JPEG2000": re.compile(rb"\xff\x4f\xff\x51.{38}(.)", re.DOTALL),
+    "AVIF": re.compile(rb"pixi\0{4}.(.)", re.DOTALL),
+    "HEIF": re.compile(rb"pixi\0{4}.(.)", re.DOTALL),
+}
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 _MAX_LEVEL = 255
 _TURNED = range(2, 9)
@@ -74,6 +84,25 @@ MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """Arrow type of an image or clip: its bytes and its original file name."""
 _MEDIA_FEATURES = {"sensor_video": "Video", "sensor_image": "Image"}
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
+
+
+@functools.cache
+def picture_formats() -> tuple[str, ...]:
+    """Return the formats of pictures that can be read here; AVIF and HEIF depend on what is installed.
+
+    TGA is not among them, because nearly every file would pass for it.
+    """
+    known = [name for name in PICTURE_ENDINGS if name not in ("TGA", "HEIF")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not features.check("avif"):
+            known.remove("AVIF")
+    try:  # installed by the extra heic
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        return tuple(known)
+    register_heif_opener()
+    return (*known, "HEIF")
 
 
 def is_jpeg(data: memoryview | bytes) -> bool:
@@ -148,14 +177,18 @@ def storable_image(data: bytes) -> tuple[bytes, str]:
     """Return an image as data sets store it, and its format if that was converted.
 
     A JPEG, PNG or WebP is returned as it is, and so is data of no known format; the format is empty then.
-    BMP, GIF, PPM and TIFF become PNG without loss. Raises ValueError for one of several pictures, of more
-    than 8 bits a colour, of colours that PNG does not have, that is not upright, too large or damaged.
+    The pixels of others (BMP, GIF, PPM, TIFF, JPEG 2000, AVIF, and HEIF with the extra ``heic``) become a PNG
+    without loss. Raises ValueError for one of several pictures, of more than 8 bits a colour, of colours that
+    PNG does not have, that is not upright, too large or damaged.
     """
     if is_jpeg(data) or data.startswith((b"\x89PNG", b"RIFF")):
         return data, ""
+    formats = [name for name in picture_formats() if name not in _NOT_CONVERTED]
+    if data[4:12] in _HEIF_STARTS and "HEIF" not in formats:
+        raise ValueError(f"an image in HEIF; {install_line('heic')}, or store it as PNG")
     try:
-        with Image.open(io.BytesIO(data), formats=_CONVERTED) as image:
-            problem = _problem_of_conversion(image)
+        with Image.open(io.BytesIO(data), formats=formats) as image:
+            problem = _problem_of_conversion(image, data)
             if not problem:
                 return encode_png(image), str(image.format)
     except UnidentifiedImageError:
@@ -185,13 +218,16 @@ def storable_images(
     return images
 
 
-def _problem_of_conversion(image: Image.Image) -> str:
+def _problem_of_conversion(image: Image.Image, data: bytes) -> str:
     """Return why a PNG does not hold an image without loss; empty if it does."""
     if getattr(image, "is_animated", False):
         return "an image of several pictures, one after the other; expected one"
     if image.width * image.height > MAX_IMAGE_PIXELS:
         return f"an image of {image.width} x {image.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
     bits = np.max(getattr(image, "tag_v2", {}).get(_BITS_PER_SAMPLE, 8))
+    stated_bits = _STATED_BITS[image.format].search(data) if image.format in _STATED_BITS else None
+    if stated_bits:
+        bits = ord(stated_bits[1]) + (image.format == "JPEG2000")
     tiles = getattr(image, "tile", [])
     top_levels: list[Any] = [tile[3][-1] for tile in tiles if tile[0] == "ppm" and tile[3]]
     if image.mode in _DEEP_MODES or bits > 8 or max(top_levels, default=0) > _MAX_LEVEL:

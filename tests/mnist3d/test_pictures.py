@@ -78,7 +78,7 @@ def test_heic_is_read_or_the_extra_named(tmp_path: Path) -> None:
 
 
 def test_an_unreadable_heic_is_named_with_a_next_step(tmp_path, monkeypatch):
-    monkeypatch.setattr("mnist3d.sources.picture_files._formats", lambda: ("PNG",))
+    monkeypatch.setattr("tactile_toolkit.touch.picture_formats", lambda: ("PNG",))
     save(tmp_path / "7" / "a.png")
     path = save(tmp_path / "7" / "b.png").rename(tmp_path / "7" / "b.heic")
     path.write_bytes(b"\0\0\0\x18ftypheic")

@@ -14,7 +14,7 @@ from PIL import Image
 import realtouch
 from realtouch.importing import import_plan, import_preview
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import intact_size, storable_image
+from tactile_toolkit.touch import images, intact_size, storable_image
 from tests.mutations import mutated
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
@@ -40,14 +40,14 @@ def imported(home: Path, out: Path, **options: Any) -> Any:
 
 
 def test_pictures_of_every_format_are_read_without_loss(tmp_path: Path) -> None:
-    kinds = {"bmp": "BMP", "tiff": "TIFF", "ppm": "PPM", "png": "PNG", "gif": "GIF"}
+    kinds = {"bmp": "BMP", "tiff": "TIFF", "ppm": "PPM", "png": "PNG", "gif": "GIF", "jp2": "JPEG2000"}
     home = write(
         tmp_path / "home", {f"{ending}/a.{ending.upper()}": encoded(kind) for ending, kind in kinds.items()}
     )
     manifest = imported(home, tmp_path / "out")
     assert not manifest.skipped_reasons()
     assert manifest.total_statistics()["pictures"] == {
-        f"{kind} stored as PNG, without loss": 1 for kind in ("BMP", "GIF", "PPM", "TIFF")
+        f"{kind} stored as PNG, without loss": 1 for kind in ("BMP", "GIF", "JPEG2000", "PPM", "TIFF")
     }
     rounds = realtouch.load(tmp_path / "out", "train")
     assert rounds.label_names == tuple(sorted(kinds))
@@ -65,11 +65,17 @@ def test_pictures_of_every_format_are_read_without_loss(tmp_path: Path) -> None:
         (encoded("TIFF", Image.fromarray(PIXELS).convert("CMYK")), "a TIFF with the colours CMYK"),
         (encoded("TIFF", tiffinfo={274: 6}), "ask to turn it"),
         (b"P6 32 24 65535\n" + bytes(24 * 32 * 6), "of 16 bits a colour"),
+        (encoded("JPEG2000").replace(b"\7\1\1", b"\x0f\1\1"), "of 16 bits a colour"),
+        (b"\0\0\0\x18ftypheic" + bytes(99), "the extra `heic`"),
         (encoded("BMP")[:99], "cannot be decoded"),
         (b"BM" + bytes(99), "cannot be decoded"),
     ],
 )
-def test_pictures_that_png_does_not_hold_are_left_out(content: bytes, words: str, tmp_path: Path) -> None:
+def test_pictures_that_png_does_not_hold_are_left_out(
+    content: bytes, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    formats = tuple(name for name in images.picture_formats() if name != "HEIF")
+    monkeypatch.setattr(images, "picture_formats", lambda: formats)
     home = write(tmp_path / "home", {"a.tif": content, "b.jpg": picture(9)})
     (skipped,) = imported(home, tmp_path / "out").shards[0].skipped
     assert skipped.reason == "image"
@@ -79,7 +85,15 @@ def test_pictures_that_png_does_not_hold_are_left_out(content: bytes, words: str
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "options"),
-    [("BMP", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("PPM", {})],
+    [
+        ("BMP", {}),
+        ("TIFF", {}),
+        ("TIFF", {"compression": "tiff_lzw"}),
+        ("GIF", {}),
+        ("PPM", {}),
+        ("JPEG2000", {}),
+        ("AVIF", {}),
+    ],
 )
 def test_any_damage_of_a_picture_gives_a_picture_or_a_message(kind: str, options: dict[str, Any]) -> None:
     whole, refused = encoded(kind, **options), 0
