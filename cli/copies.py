@@ -84,17 +84,20 @@ def split(
         (),
         metavar="0.8,0.2",
         read=_fractions,
-        help="Fractions of the rows of each split, one for each part.",
+        help="Fractions of each split, one for each part.",
     ),
     seed: int = checked_fields.integer(0, needs="fractions", help="Random seed."),
+    same_objects: bool = checked_fields.switch(
+        False, help="Divide rows without regard to their objects, so that parts share objects."
+    ),
     chosen: catalog.RowFilter,
     run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
     """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
 
-    Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
-    options choose, and part-2 all others.
+    Objects are drawn at random (--fractions) with all their rows, or part-1 gets the objects that --ids,
+    --labels and similar options choose, and part-2 all others. No object is in two parts.
 
     Examples: tactile split digits --fractions 0.8,0.2 --out parts;
     tactile split digits --ids 3,17,40-60 --out parts
@@ -109,8 +112,13 @@ def split(
     if not filters and not fractions:
         raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
     source, kind = source_options.open_kind(sink, name)
-    for folder, make in exchange.plan_parts(kind, source, out, fractions, seed, filters):
-        runs.make_with_progress(sink, "copying", kind, make, run_options, folder)
+    parts = exchange.plan_parts(kind, source, out, fractions, seed, filters, same_objects=same_objects)
+    for folder, make in parts:
+        manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, folder)
+    if manifest is not None and manifest.spec["options"]["objects"] == "unknown":
+        sink.warn(
+            f"the objects of some {kind.nouns} are not known (no object_id), so the parts may share objects"
+        )
 
 
 def merge(

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import io
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate, chain, count, pairwise, zip_longest
+from itertools import accumulate, chain, count, zip_longest
 from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, errors, mesh, places, read, run, store
+from tactile_toolkit import catalog, errors, mesh, places, read, run, store, wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.catalog import row_options
 from tactile_toolkit.catalog.rows import short_name
@@ -89,34 +90,91 @@ def divide(
     fractions: Sequence[float],
     seed: int,
     chosen: JsonObject,
-) -> list[dict[str, Int64]]:
+    *,
+    same_objects: bool = False,
+) -> tuple[list[dict[str, Int64]], str]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
-    Either at random by ``fractions`` of each split, which depends only on the seed and the number of rows;
-    or, without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
-    ``chosen``, and all others.
+    Either at random by ``fractions`` of each split, which depends only on the seed and the objects; or,
+    without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen``,
+    and all others. All rows of an object are in one part; with ``same_objects``, rows are divided without
+    regard to their objects. Also returns what happened to objects: ``"whole"``, ``"divided"`` or, if those of
+    some rows are not known, ``"unknown"``.
+
+    Raises InputError if ``chosen`` would divide the rows of an object.
     """
     place = places.open_place(name).require(kind, "tactile split").require_complete()
     datasets = {split: kind.load(place, split) for split in place.splits}
+    objects_of = {split: _objects_of(kind, split, rows, same_objects) for split, rows in datasets.items()}
+    objects = "divided" if same_objects else "whole"
+    if not same_objects and any(isinstance(key, tuple) for keys in objects_of.values() for key in keys):
+        objects = "unknown"
     if not fractions:
-        among = dict(chosen)
-        only = among.pop("split", None)
-        if only not in (None, *datasets):
-            raise places.unknown_split(only, tuple(datasets), place.name)
-        some = catalog.choose_rows([item for item in datasets.items() if only in (None, item[0])], **among)
-        taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
-        return [
-            taken,
-            {split: np.setdiff1d(np.arange(len(datasets[split])), taken[split]) for split in taken},
-        ]
+        taken = _chosen_rows(place, datasets, chosen)
+        left = {split: np.setdiff1d(np.arange(len(datasets[split])), rows) for split, rows in taken.items()}
+        _require_whole_objects(kind, objects_of, taken, left)
+        return [taken, left], objects
     parts: list[dict[str, Int64]] = [{} for _ in fractions]
-    for split, rows in datasets.items():
-        # Doubles of this generator are the same in every version of numpy; shuffles may differ.
-        order = np.random.Generator(np.random.PCG64(seed)).random(len(rows)).argsort(kind="stable")
-        ends = [round(share * len(rows)) for share in accumulate(fractions, initial=0.0)]
-        for part, (start, stop) in zip(parts, pairwise(ends), strict=True):
-            part[split] = np.sort(order[start:stop])
-    return parts
+    part_of: dict[object, int] = {}
+    for split, keys in objects_of.items():
+        # An object that another split has, too, is in the same part there.
+        part_of |= drawn_parts(Counter(key for key in keys if key not in part_of), fractions, seed)
+        numbers = np.array([part_of[key] for key in keys], np.int64)
+        for number, part in enumerate(parts):
+            part[split] = np.flatnonzero(numbers == number)
+    return parts, objects
+
+
+def _objects_of(kind: DatasetKind, split: str, rows: Any, same_objects: bool) -> list[object]:
+    """Return the object of each row; a row whose object is not known, or need not be, is one of its own."""
+    if same_objects:
+        return [(split, number) for number in range(len(rows))]
+    objects = rows.object_ids.tolist()
+    if not kind.has_touches:
+        return list(objects)
+    return [(split, number) if key == -1 else key for number, key in enumerate(objects)]
+
+
+def drawn_parts(rows_of: Mapping[object, int], fractions: Sequence[float], seed: int) -> dict[object, int]:
+    """Draw the part of each object, from 0; objects that are in none get the number of parts."""
+    objects = list(rows_of)
+    # Doubles of this generator are the same in every version of numpy; shuffles may differ.
+    order = np.random.Generator(np.random.PCG64(seed)).random(len(objects)).argsort(kind="stable")
+    rows = np.array(list(rows_of.values()), np.int64)[order]
+    ends = np.searchsorted(rows.cumsum() - rows / 2, np.cumsum(fractions) * rows.sum())
+    steps = np.arange(len(fractions))
+    if len(objects) >= len(fractions):  # then no part is empty
+        ends = np.maximum.accumulate(np.maximum(ends - steps, 1)) + steps
+        ends = np.minimum(ends, len(objects) - steps[::-1])
+    parts = np.searchsorted(ends, np.arange(len(objects)), side="right")
+    return {objects[index]: part for index, part in zip(order.tolist(), parts.tolist(), strict=True)}
+
+
+def _chosen_rows(place: places.Place, datasets: Mapping[str, Any], chosen: JsonObject) -> dict[str, Int64]:
+    """Return the positions of the rows of each split that filters choose; InputError if there are none."""
+    filters = dict(chosen)
+    only = filters.pop("split", None)
+    if only not in (None, *datasets):
+        raise places.unknown_split(only, tuple(datasets), place.name)
+    among = [item for item in datasets.items() if only in (None, item[0])]
+    taken = {split: rows for split, _, rows in catalog.choose_rows(among, **filters)}
+    return dict.fromkeys(datasets, np.zeros(0, np.int64)) | taken
+
+
+def _require_whole_objects(
+    kind: DatasetKind, objects_of: Mapping[str, Sequence[object]], *parts: Mapping[str, Int64]
+) -> None:
+    """Refuse two parts with rows of the same object (InputError)."""
+    first, second = (
+        {objects_of[split][row] for split, rows in part.items() for row in rows.tolist()} for part in parts
+    )
+    shared = sorted(first & second)
+    if shared:
+        raise errors.InputError(
+            f"both parts would have {kind.nouns} of {wording.with_count(len(shared), 'objects')}, the first "
+            f"with id {shared[0]}, so that a model could be tested on what it has learned",
+            next="choose whole objects, or add --same-objects (same_objects=True) to divide them",
+        )
 
 
 def write_part(
@@ -138,17 +196,22 @@ def plan_parts(
     fractions: Sequence[float],
     seed: int,
     chosen: JsonObject,
+    *,
+    same_objects: bool = False,
 ) -> list[tuple[str, Callable[..., store.Manifest]]]:
     """Divide a data set as :func:`divide` does; return the folder of each part and what writes it.
 
-    Folders are ``part-1``, ``part-2`` and so on in ``out``. The functions take those of ``RunOptions``.
+    Folders are ``part-1``, ``part-2`` and so on in ``out``. The functions take those of ``RunOptions``. The
+    option ``objects`` of their manifests says whether objects are whole, divided or unknown.
     """
     options = chosen or {"fractions": fractions, "seed": seed}
-    parts: list[tuple[str, Callable[..., store.Manifest]]] = []
-    for number, rows in enumerate(divide(kind, name, fractions, seed, chosen), 1):
+    parts, objects = divide(kind, name, fractions, seed, chosen, same_objects=same_objects)
+    plans: list[tuple[str, Callable[..., store.Manifest]]] = []
+    for number, rows in enumerate(parts, 1):
         folder = f"{out.rstrip('/')}/part-{number}"
-        parts.append((folder, partial(write_part, kind, name, rows, {**options, "part": number}, folder)))
-    return parts
+        of_part = {**options, "objects": objects, "part": number}
+        plans.append((folder, partial(write_part, kind, name, rows, of_part, folder)))
+    return plans
 
 
 def select_rows(
@@ -159,9 +222,10 @@ def select_rows(
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Write the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen`` as a data set."""
-    rows, _ = divide(kind, name, (), 0, chosen)
+    place = places.open_place(name).require(kind, "tactile select").require_complete()
+    rows = _chosen_rows(place, {split: kind.load(place, split) for split in place.splits}, chosen)
     options = {option: value for option, value in chosen.items() if value is not None}
-    return _build(kind, [_open_source(kind, name, SELECT)], rows, SELECT, options, out, run)
+    return _build(kind, [_open_source(kind, place, SELECT)], rows, SELECT, options, out, run)
 
 
 def plan_tables(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.exchange.copies import drawn_parts
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.processes import start_held
@@ -149,3 +151,56 @@ def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
     scenes = [("train", import_module("starstruck_gen").load(str(folder), "train"))]
     with pytest.raises(InputError, match="no object is chosen"):
         choose_rows(scenes, ids=[])
+
+
+def _objects(folder: Path) -> set[int]:
+    return {row["object_id"] for rows in _rows(folder).values() for row in rows}
+
+
+def test_all_touches_of_an_object_are_in_one_part(tmp_path, capsys):
+    """Also of objects in several splits; dividing them is refused unless it is asked for."""
+    rounds = [
+        replace(factories.make_round(index, 2, (16, 12), (3, 4)), object_id=index % 4) for index in range(12)
+    ]
+    splits = {"train": factories.single_rows(rounds[:8]), "test": factories.single_rows(rounds[8:11])}
+    folder = factories.write_set(tmp_path / "all", splits, "single")
+    parts = tmp_path / "parts"
+    assert call("tactile", "split", folder, "--fractions", "0.8,0.2", "--out", parts, *ALONE) == 0
+    one, two = parts / "part-1", parts / "part-2"
+    assert (len(_objects(one)), len(_objects(two))) == (3, 1)
+    assert not _objects(one) & _objects(two)
+    assert read_manifest(open_folder(str(two))).spec["options"]["objects"] == "whole"
+    for choice in ("--limit 1", f"--ids {rounds[0].id}"):
+        words = ("split", folder, "--split", "train", *choice.split(), "--out", tmp_path / "limit", *ALONE)
+        assert call("tactile", *words) == 2
+        assert "both parts would have rounds of 1 object, the first with id 0" in capsys.readouterr().err
+        assert not (tmp_path / "limit").exists()
+    words = ("--fractions", "0.5,0.5", "--same-objects", "--out", tmp_path / "rows")
+    assert call("tactile", "split", folder, *words, *ALONE) == 0
+    divided = [tmp_path / "rows" / part for part in ("part-1", "part-2")]
+    assert _objects(divided[0]) & _objects(divided[1])
+    assert read_manifest(open_folder(str(divided[0]))).spec["options"]["objects"] == "divided"
+
+
+def test_unknown_objects_are_stated(tmp_path, capsys):
+    rounds = [factories.make_round(index, 2, (16, 12), (3, 4)) for index in range(4)]
+    layout = factories.Layout(leave_out=("object_id",))
+    rows = {"train": factories.single_rows(rounds)}
+    folder = factories.write_set(tmp_path / "all", rows, "single", layout)
+    parts = tmp_path / "parts"
+    assert call("tactile", "split", folder, "--fractions", "0.5,0.5", "--out", parts, "-w", 1) == 0
+    assert "the objects of some rounds are not known (no object_id)" in capsys.readouterr().err
+    assert [len(_rows(part)["train"]) for part in sorted(parts.iterdir())] == [2, 2]
+
+
+def test_each_part_has_an_object_if_there_are_enough():
+    for count, fractions, sizes in (
+        (2, (0.8, 0.2), [1, 1]),
+        (4, (0.8, 0.2), [3, 1]),
+        (10, (0.5, 0.3), [5, 3]),
+        (5, (0.01, 0.01, 0.98), [1, 1, 3]),
+        (4, (0.97, 0.01, 0.02), [2, 1, 1]),
+        (1, (0.8, 0.2), [1, 0]),
+    ):
+        parts = list(drawn_parts(dict.fromkeys(range(count), 7), fractions, 0).values())
+        assert [parts.count(part) for part in range(len(fractions))] == sizes

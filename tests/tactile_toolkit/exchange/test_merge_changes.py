@@ -88,7 +88,7 @@ def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(program, make
 
 def test_shards_without_changes_are_copied_byte_for_byte(tmp_path: Path) -> None:
     whole = scenes(tmp_path / "whole", 1)
-    for number, rows in enumerate(divide(SCENES, whole, (0.5, 0.5), 7, {})):
+    for number, rows in enumerate(divide(SCENES, whole, (0.5, 0.5), 7, {})[0]):
         write_part(SCENES, whole, rows, {"part": number}, str(tmp_path / f"part-{number}"))
     parts = [tmp_path / "part-0", tmp_path / "part-1"]
     merged = merge_sets(SCENES, parts, str(tmp_path / "merged"))
