@@ -21,7 +21,7 @@ import numpy as np
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.array_types import Float64
+from tactile_toolkit.value_types import Float64
 
 TOUCHES, FORCE_N = 500, 5.0
 SHARES = (5, 50, 95)

@@ -18,7 +18,7 @@ from cli.options import DEBUG_VARIABLE, GENERAL, Debug, Version, option_label, w
 from cli.output import Output
 from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, ToolkitError, require_public
-from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.value_types import JsonValue
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130

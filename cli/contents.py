@@ -12,8 +12,8 @@ import typer
 from cli import application, options, output, runs
 from tactile_toolkit import catalog, checked_fields, places, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import SELECT, Checked, DatasetKind, lazy
+from tactile_toolkit.value_types import JsonDict, JsonValue
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Imported when they are called: they import pyarrow.

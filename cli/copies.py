@@ -17,8 +17,8 @@ from tactile_toolkit import cards, catalog, checked_fields, exchange, places, pr
 from tactile_toolkit.cache import CacheContents
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, lazy
+from tactile_toolkit.value_types import JsonDict
 from tactile_toolkit.wording import bytes_text, with_count
 
 _MESH_FORMATS = ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat")

@@ -16,8 +16,8 @@ from itertools import zip_longest
 from typing import IO, TypeVar
 
 from tactile_toolkit import checked_fields, errors, wording
-from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
+from tactile_toolkit.value_types import JsonValue
 
 T = TypeVar("T")
 _GAP = "  "

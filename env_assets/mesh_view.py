@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int32
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MAX_PIXELS, MM_PER_M, Mesh, MeshFile, MeshLike, SolidRecord, highest_values
 from tactile_toolkit.read import LazySequence, RecordDataset
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Floating, Int32
 
 if TYPE_CHECKING:
     import trimesh

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Bool, Float32, Float64, Int32, Int64
 
 _ROOT_2 = 2**0.5
 

@@ -14,9 +14,9 @@ from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, mesh, store, wording
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import Facts
 from tactile_toolkit.rows import Column
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 _MAX_LISTED = 12
 COLUMNS = DigitRow.meanings()

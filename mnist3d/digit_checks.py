@@ -13,7 +13,6 @@ from mnist3d import digit_card
 from mnist3d.kind import KIND
 from tactile_toolkit import catalog, mesh, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import (
     Mesh as Mesh,
@@ -23,6 +22,7 @@ from tactile_toolkit.mesh import (
     read_mesh as read_mesh,
     write_mesh as write_mesh,
 )
+from tactile_toolkit.value_types import JsonDict
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)

@@ -16,10 +16,9 @@ from mnist3d.kind import KIND
 from mnist3d.solid import algorithm
 from mnist3d.sources import digit_arrays, digit_source, digit_tables, picture_folder, synthetic
 from tactile_toolkit import generation, mesh, store
-from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import Int64, JsonDict, JsonObject
 
 _NEEDED = {
     "synthetic": (),

@@ -17,7 +17,7 @@ from tactile_toolkit.checked_fields import (
     text,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 
 SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
 """The five splits in canonical order, in which scarce digits are assigned, too."""

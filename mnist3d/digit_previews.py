@@ -20,11 +20,10 @@ from mnist3d.solid.lattice import Lattice
 from mnist3d.sources import digit_source, picture_files
 from tactile_toolkit import catalog, gallery, mesh, pictures, store
 from tactile_toolkit.arithmetic import inverse_affine
-from tactile_toolkit.array_types import AnyArray, Bool, UInt8
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.mesh import MM_PER_M
 from tactile_toolkit.places import Name, Place, open_place
+from tactile_toolkit.value_types import AnyArray, Bool, JsonDict, JsonObject, UInt8
 
 _SHOWN = (*digit_records.DigitRow.with_role("facet"), *mesh.PrintReport.with_role("facet", "measure"))
 

@@ -13,9 +13,8 @@ from mnist3d.kind import KIND
 from mnist3d.sources.digit_source import NO_WRITER
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import mesh, pictures, places, store
-from tactile_toolkit.array_types import Int64
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import column
+from tactile_toolkit.value_types import Int64, JsonDict
 from tactile_toolkit.wording import class_name
 
 PARQUET_STYLE = store.ParquetStyle(

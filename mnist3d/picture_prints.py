@@ -16,8 +16,8 @@ from mnist3d.digit_previews import CLAY
 from mnist3d.solid import algorithm, picture_ink
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store
-from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.value_types import Bool, UInt8
 
 _VIEW_PX = (760, 560)
 _PREVIEW = "-preview.png"

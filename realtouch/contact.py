@@ -19,9 +19,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Float64, Floating, UInt8
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)

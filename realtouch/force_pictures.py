@@ -6,8 +6,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from realtouch.touches.rounds import Touch
-from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.touch import resized
+from tactile_toolkit.value_types import AnyArray, Float64, UInt8
 
 ARROWS = 5
 """Length of arrows relative to the motion of markers, which is a few pixels at most."""

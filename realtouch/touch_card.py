@@ -16,9 +16,8 @@ from realtouch.kind import KIND
 from realtouch.touches import datasets, media, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
-from tactile_toolkit.array_types import Int64, UInt8
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import Tile, fitted, png_bytes, sheet
+from tactile_toolkit.value_types import Int64, JsonDict, UInt8
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""

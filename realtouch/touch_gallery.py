@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -13,10 +14,9 @@ from realtouch.touches import datasets, media, rounds
 from realtouch.touches.rounds import Touch
 from realtouch.touches.schema import origin_of
 from tactile_toolkit import catalog, checked_fields, gallery, mesh, pictures, places, wording
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import encode_image, resized
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, JsonDict, UInt8
 
 FRAMES_PER_FILM = 24
 """Frames shown of a clip, evenly spaced; of the published 58 to 90 every third or so."""
@@ -29,7 +29,7 @@ DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
 
 # For a round: greatest number of touches to show, height of each touch and whether it has contact, if known.
-_Known = tuple[int, Float64 | None, Bool | None]
+_Known: TypeAlias = "tuple[int, Float64 | None, Bool | None]"
 
 _MAX_TEXTS = 8
 _LONGEST_NOTE = 200  # texts shown of a further column, and characters of each

@@ -12,7 +12,7 @@ from functools import partial
 
 from tactile_toolkit import checked_fields, errors, store, touch, wording
 from tactile_toolkit.columns import units
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 
 ONE_SPLIT = checked_fields.text(metavar="NAME", help="Split to open; required if there are several.")
 IMPORT_LAYOUTS = (

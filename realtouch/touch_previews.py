@@ -13,8 +13,8 @@ from realtouch.kind import KIND
 from realtouch.touches import loading, media, rounds
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import arithmetic, errors, pictures, places, wording
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.touch import CELL_M
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, UInt8
 
 CONTACT = pictures.ACCENTS[0]
 """Colour of the frame around touches with contact."""

@@ -18,9 +18,9 @@ from realtouch.touches import datasets, media, schema
 from realtouch.touches.datasets import AnyTouches, Touches
 from realtouch.touches.rounds import Touch, TouchSingleRound
 from tactile_toolkit import cache, errors, read
-from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.read import TrainingBatches
 from tactile_toolkit.touch import decode_image
+from tactile_toolkit.value_types import UInt8
 
 if TYPE_CHECKING:
     import torch

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Float32, Float64, Int64
 
 _cosine_sine = compiled(cosine_sine)
 

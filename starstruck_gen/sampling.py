@@ -16,7 +16,7 @@ from starstruck_gen import scene
 from starstruck_gen.shapes import STAR, Shape, require_fine_steps
 from tactile_toolkit import checked_fields, mesh, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 from tactile_toolkit.wording import with_count
 
 SPLITS = ("train", "test")

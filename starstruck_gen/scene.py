@@ -13,10 +13,10 @@ from PIL import Image, ImageDraw
 from starstruck_gen import shapes
 from tactile_toolkit import mesh, read
 from tactile_toolkit.arithmetic import cosine_sine, moved
-from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.touch import CELL_M
+from tactile_toolkit.value_types import UInt8
 
 if TYPE_CHECKING:
     import manifold3d

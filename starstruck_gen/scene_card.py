@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from starstruck_gen import kind, sampling, scene_dataset
 from tactile_toolkit import cards, gallery, mesh, rows, store, wording
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import Facts
+from tactile_toolkit.value_types import JsonDict
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",

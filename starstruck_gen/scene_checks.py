@@ -13,8 +13,8 @@ from starstruck_gen import scene, scene_dataset
 from starstruck_gen.kind import KIND
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
+from tactile_toolkit.value_types import JsonDict
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:

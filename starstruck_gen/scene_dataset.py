@@ -26,9 +26,8 @@ from tactile_toolkit import (
     store,
     touch,
 )
-from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Int64, JsonDict, UInt8
 from tactile_toolkit.wording import with_count
 
 DEFAULT_SIZE = 300_000

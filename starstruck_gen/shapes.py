@@ -15,10 +15,9 @@ import numpy as np
 
 from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.array_types import Float64, Int32, Int64
 from tactile_toolkit.checked_fields import to_builtin
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import Float64, Int32, Int64, JsonDict, JsonObject
 
 Outline = tuple[Float64, ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""

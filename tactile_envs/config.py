@@ -13,8 +13,8 @@ from tactile_sim.optics.sensor_noise import checked_noise
 from tactile_sim.press.press_spec import gel_named
 from tactile_sim.press.sensors import GEL_M, GELSIGHT_MINI, checked_sensor, sensor_of_model
 from tactile_toolkit import checked_fields, touch
-from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:

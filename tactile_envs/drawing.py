@@ -13,7 +13,7 @@ from PIL import Image
 from tactile_envs import mesh_pool, touch_kernels
 from tactile_sim import center_view
 from tactile_toolkit import pictures
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int64, UInt8
 
 Colour: TypeAlias = tuple[float, float, float]
 

@@ -25,7 +25,7 @@ from tactile_envs.config import (
     configured,
 )
 from tactile_toolkit import errors, mesh
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.value_types import UInt8
 from tactile_toolkit.wording import did_you_mean
 
 with errors.needs_extra("making environments", "ap-gym", "envs"):

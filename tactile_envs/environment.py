@@ -18,8 +18,8 @@ from realtouch import Poses
 from tactile_envs import config, drawing, motion, tasks
 from tactile_envs.config import Action, Info, Observation, Options
 from tactile_envs.scene import SceneObjects, TouchScene
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 
 _NOTHING: Info = {}
 _NOT_RESET = "the environment was not reset yet; next: call reset()"

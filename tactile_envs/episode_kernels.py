@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Bool, Float32, Float64, Int64
 
 
 @compiled

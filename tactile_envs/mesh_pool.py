@@ -23,8 +23,8 @@ import xxhash
 
 from env_assets import mesh_view
 from tactile_toolkit import cache, mesh, progress, read, run, store
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
 from tactile_toolkit.errors import BusyError, IntegrityError
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int32, Int64
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""

@@ -21,10 +21,9 @@ from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_sim.sets.touched_solids import content_fingerprint
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import RecordDataset
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, JsonDict
 
 _NO_DRIFT = np.zeros(3)
 _UPRIGHT_WITHIN = 1e-6

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
@@ -15,15 +15,15 @@ from tactile_envs.episode_kernels import aim
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.touch_kernels import PADDING, Cells, SensorReadings, Setting, touch
 from tactile_sim import Sensor
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import Float32, Float64, Int64
 from tactile_toolkit.wording import with_count
 
 # The square of this times the largest `action_regularization` is finite in single precision.
 _MAX_MOVE = 1e12
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
 
-Rows = slice | Int64
+Rows: TypeAlias = "slice | Int64"
 """Numbers of environments, or a slice of them."""
 
 EVERY = slice(None)

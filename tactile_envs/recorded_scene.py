@@ -18,7 +18,7 @@ from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
 from tactile_sim.optics import rendering
 from tactile_sim.sets.touched_solids import content_fingerprint
 from tactile_toolkit import cache, errors, kind, run
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int64, UInt8
 
 if TYPE_CHECKING:
     from tactile_sim.learned import DepthEstimator

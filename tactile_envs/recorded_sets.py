@@ -21,9 +21,9 @@ from env_assets.provider import KINDS, meshes_at
 from tactile_envs import env_specs, mesh_pool, object_sets
 from tactile_envs.config import RecordedConfig
 from tactile_toolkit import cache, kind, progress, store
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, ToolkitError
 from tactile_toolkit.touch import PRESS_DEPTH_M
+from tactile_toolkit.value_types import Float32, Float64, Int64
 
 Name = str | PathLike[str]
 _DIGITS = "mnist3d"

@@ -16,9 +16,8 @@ from tactile_envs.config import Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.touch_kernels import SensorReadings
 from tactile_sim.optics.rendering import Optics, make_optics
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Floating, Int64, JsonDict
 
 _MOVE = "sensor_target_pos_rel"
 

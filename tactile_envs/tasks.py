@@ -18,8 +18,8 @@ from scipy.special import ndtri, softmax
 
 from tactile_envs import config, drawing, episode_kernels, mesh_pool
 from tactile_envs.config import Config
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Floating, Int64
 
 
 @dataclass(frozen=True, slots=True, eq=False)

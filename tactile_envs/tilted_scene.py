@@ -30,9 +30,9 @@ from tactile_envs.touch_kernels import (
     raise_within,
     write_edge,
 )
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Float32, Float64, Int64
 
 _TURN, _TURNED = "sensor_target_rot_rel", "sensor_rot"
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int32, Int64
 
 _BLOCK = 4  # rows and columns of pixels that are drawn at once; few triangles cover more
 PADDING = _BLOCK

@@ -12,8 +12,8 @@ from gymnasium.vector.utils import batch_space
 
 from tactile_envs import motion
 from tactile_envs.config import Info, Observation, Space
-from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Bool, Float32
 
 LOGIT_LIMIT = 5.0
 """Bound of parts of an action that have none; the probability of one of ten classes is at most 0.9996."""

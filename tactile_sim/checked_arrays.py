@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import Float64
 
 MAX_NUMBERS = 1 << 30
 _MAX_SHOWN = 60

@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from tactile_toolkit import cache, store
-from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.value_types import AnyArray
 
 T = TypeVar("T")
 _MAX_BYTES = 1 << 16

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float64
+from tactile_toolkit.value_types import Float64
 
 _QUARTER_TURN = math.pi / 2
 # pi / 2 in two parts: multiples of the first are exact, so that large angles lose no precision.

@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 import pyarrow as pa
 
 from tactile_toolkit import errors, store, wording
-from tactile_toolkit.array_types import Int64
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.run import usable_cores
 from tactile_toolkit.store.building import require_replaceable
 from tactile_toolkit.store.job import BuildJob
 from tactile_toolkit.store.manifest import require_rows, shard_ranges
+from tactile_toolkit.value_types import Int64, JsonDict, JsonObject
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh import Mesh

@@ -14,7 +14,7 @@ from importlib import import_module
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 if TYPE_CHECKING:
     import pyarrow as pa

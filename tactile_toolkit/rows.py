@@ -15,9 +15,8 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import checked_fields, read
-from tactile_toolkit.array_types import Int64
-from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.read import record
+from tactile_toolkit.value_types import Int64, JsonValue
 
 Role: TypeAlias = Literal["plain", "facet", "measure", "hidden"]
 

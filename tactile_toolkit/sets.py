@@ -10,8 +10,8 @@ import pyarrow as pa
 
 from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.value_types import JsonDict, JsonValue
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Length of the longest list whose values are shown.

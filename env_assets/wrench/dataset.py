@@ -15,8 +15,7 @@ from env_assets.wrench.kind import CHAMFER_MM, JAW_ANGLE_DEG, KIND, WrenchSpec
 from mnist3d import digit_checks
 from tactile_toolkit import cards, gallery, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Float64, Int64, JsonDict
 
 # Sides of a full circle: 0.02 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96

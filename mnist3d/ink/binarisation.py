@@ -29,8 +29,8 @@ from mnist3d.ink.grey_levels import (
 )
 from mnist3d.ink.photographs import even_out, is_clean
 from tactile_toolkit import mesh
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int64, UInt8
 
 CONTACT_PX = 3
 """Largest number of pixels at which a speck may touch wider ink."""

@@ -15,8 +15,8 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 
 from tactile_toolkit.arithmetic import exp_neg
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Floating, UInt8
 from tactile_toolkit.errors import ItemError
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Floating, UInt8
 from tactile_toolkit.wording import with_count
 
 _SENTENCES = {

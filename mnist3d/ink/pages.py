@@ -16,7 +16,7 @@ from skimage.morphology import convex_hull_image
 from skimage.transform import hough_line, hough_line_peaks
 
 from mnist3d.ink.grey_levels import refuse
-from tactile_toolkit.array_types import Bool, Float32, Int32, Int64, UInt8
+from tactile_toolkit.value_types import Bool, Float32, Int32, Int64, UInt8
 
 _COARSE_PX = 175
 """Longer side of a reduced picture."""

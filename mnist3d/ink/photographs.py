@@ -27,8 +27,8 @@ from mnist3d.ink.pages import (
     to_coarse,
     without_shadows,
 )
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 
 CLEAN_LEVELS = 2
 """Largest difference, in grey levels, between the paper of a clean image and its margin."""

@@ -28,9 +28,9 @@ from mnist3d.digit_options import SizeKeywords, SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MM_PER_M, Mesh, connected, on_base_plate
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 
 CHORD_LOSS = 0.11
 """Distance by which the surface is moved outwards, in units of pitch^2 / R.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d import compiled_loops, digit_options
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 
 _DISC_OFFSETS_PX = {"outline": 0.0, "disc": 0.5}
 F = TypeVar("F", np.float32, np.float64)

@@ -18,9 +18,8 @@ from mnist3d.ink import binarisation, grey_levels, photographs
 from mnist3d.ink.grey_levels import MAX_DRAWN
 from mnist3d.sources import picture_files
 from tactile_toolkit import store
-from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.value_types import AnyArray, Bool, Int32, JsonObject, UInt8
 from tactile_toolkit.wording import with_count
 
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image.Image | AnyArray"

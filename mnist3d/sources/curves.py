@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float64
+from tactile_toolkit.value_types import Float64
 
 Point = tuple[float, float]
 """x to the right, y down."""

@@ -24,9 +24,9 @@ import numpy as np
 from mnist3d.ink.grey_levels import as_grey, fit
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import cache, store
-from tactile_toolkit.array_types import AnyArray, Int64, UInt8
 from tactile_toolkit.columns import known_formats
 from tactile_toolkit.errors import InputError, RemoteError, needs_extra
+from tactile_toolkit.value_types import AnyArray, Int64, UInt8
 from tactile_toolkit.wording import with_count
 
 SIDE_PX = 28

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.digit_options import PUBLISHED_SIZES, SPLITS, SplitSpec
-from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.value_types import Int64, UInt8
 
 NO_WRITER = -1
 """Writer number of digits whose writer is unknown."""

@@ -16,8 +16,8 @@ import numpy as np
 from mnist3d.ink.grey_levels import as_grey
 from mnist3d.sources.digit_arrays import SIDE_PX, Part, SmallImages, int_column, open_npy, scale_of
 from tactile_toolkit import cache, store
-from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.value_types import AnyArray
 from tactile_toolkit.wording import with_count
 
 _PIXELS = SIDE_PX**2

@@ -28,7 +28,6 @@ from mnist3d.ink.grey_levels import (
     unlike_paper,
 )
 from tactile_toolkit import cache, store, touch
-from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.columns import known_formats
 from tactile_toolkit.errors import (
     InputError,
@@ -38,6 +37,7 @@ from tactile_toolkit.errors import (
     install_line,
     needs_extra,
 )
+from tactile_toolkit.value_types import Bool, UInt8
 
 ENDINGS = (*(ending for endings in touch.PICTURE_ENDINGS.values() for ending in endings), ".svg")
 """Endings of pictures, in lower case; the content of a file decides how it is read."""

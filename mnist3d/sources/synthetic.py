@@ -14,8 +14,8 @@ from mnist3d.digit_options import MAX_DIGITS
 from mnist3d.sources import allographs
 from mnist3d.sources.curves import Stroke, Vary, resample, smooth_path, through
 from mnist3d.sources.digit_source import DigitCatalog, DigitImage, require_known
-from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.checked_fields import check_fields, integer
+from tactile_toolkit.value_types import Float32, Float64, UInt8
 
 _BLOCK = 64
 _UNIT = 2.0**-53

@@ -23,7 +23,7 @@ from realtouch.touch_options import CheckLimits
 from realtouch.touches import damage, datasets, loading, schema, stored_round
 from realtouch.touches.rounds import TouchSingleRound
 from tactile_toolkit import catalog, errors, pictures, places, read, run, wording
-from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
+from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
 
 MAX_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size, which takes a minute or two. All

@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
 from tactile_toolkit.touch import decode_image
+from tactile_toolkit.value_types import Bool, Float32, Float64, Floating, UInt8
 
 MAX_NAMED = 20
 """Touches that a finding names; it counts the others."""

@@ -20,9 +20,9 @@ from realtouch.checks import rules
 from realtouch.checks.rules import spans_of
 from realtouch.touches import media, schema, stored_round
 from realtouch.touches.poses import Poses
-from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import decode_image
+from tactile_toolkit.value_types import Float32, Float64
 
 GEL_PICTURES = 32
 """Pictures of a section whose median shows its bare gel; at each pixel, fewer than half have contact."""

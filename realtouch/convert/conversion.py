@@ -19,7 +19,7 @@ import pyarrow as pa
 from realtouch import kind, touch_card
 from realtouch.touches import datasets, loading, schema, stored_round
 from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.value_types import JsonObject
 
 Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""

@@ -16,8 +16,8 @@ from realtouch.convert import conversion, picture_files
 from realtouch.touches import loading, media, schema, stored_round
 from realtouch.video import avi
 from tactile_toolkit import catalog, checked_fields, errors, kind, places, read, store, touch
-from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
+from tactile_toolkit.value_types import Float32, UInt8
 
 _CONTACT_FRAME_ROWS = 16
 _POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]

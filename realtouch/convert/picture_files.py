@@ -23,8 +23,7 @@ from realtouch.convert import conversion
 from realtouch.touches import image_contacts, loading, media, rounds, schema, stored_round
 from realtouch.touches.poses import Poses
 from tactile_toolkit import catalog, errors, places, read, store, touch
-from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, Float64, Floating, JsonDict, UInt8
 
 Difference = Literal["grey", "absolute"]
 IMAGE_FOLDER = "images"

@@ -17,7 +17,7 @@ import pyarrow as pa
 from realtouch.convert import conversion
 from realtouch.touches import datasets, loading, schema, stored_round
 from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 
 def select(

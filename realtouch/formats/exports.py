@@ -22,8 +22,8 @@ from realtouch.convert import conversion, picture_files
 from realtouch.touches import datasets, loading, media, poses, rounds, schema, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import catalog, errors, kind, places, read, store
-from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.touch import MEDIA_TYPE, ImageFormat, intact_size
+from tactile_toolkit.value_types import AnyArray, Int64
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "minari", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {

@@ -24,7 +24,7 @@ from realtouch.importing import source_files, source_touches
 from realtouch.touches import schema as stored_schema
 from tactile_toolkit import cache, errors, read, store
 from tactile_toolkit.columns import column_types
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 
 if TYPE_CHECKING:
     from pyarrow import parquet as pq

@@ -26,8 +26,8 @@ from realtouch import touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
 from realtouch.importing import source_files, source_touches
 from tactile_toolkit import cache, errors, store, touch, wording
-from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.columns import column_types, tables
+from tactile_toolkit.value_types import AnyArray
 
 H5Object = Any
 """A file, group or dataset of h5py, which has no types for type checkers."""

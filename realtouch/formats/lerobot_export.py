@@ -31,9 +31,8 @@ from realtouch.formats.lerobot_import import Mark
 from realtouch.touches import datasets, loading, media, schema, stored_round
 from realtouch.touches.media import decoded
 from tactile_toolkit import read, store, touch
-from tactile_toolkit.array_types import Float32, Float64, Int64
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.touch import MEDIA_TYPE
+from tactile_toolkit.value_types import Float32, Float64, Int64, JsonDict
 
 _DEPTH_INFO = {"is_depth_map": True, "depth_unit": "m"}
 _FOLDER = "lerobot"

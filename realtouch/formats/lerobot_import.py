@@ -24,9 +24,8 @@ from realtouch.importing import source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types, tables
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.value_types import Float64, JsonObject
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")

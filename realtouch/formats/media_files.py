@@ -29,7 +29,7 @@ from realtouch.touches import media
 from realtouch.video import video_files, videos
 from tactile_toolkit import errors, read, store, wording
 from tactile_toolkit.columns import column_types, tables
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 
 _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MAX_IMAGES = 1_000_000

@@ -26,8 +26,7 @@ from realtouch.convert import conversion
 from realtouch.formats import exports
 from realtouch.touches import loading
 from tactile_toolkit import errors, read, store
-from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, JsonDict
 
 if TYPE_CHECKING:
     import h5py

@@ -17,7 +17,7 @@ import numpy as np
 
 from realtouch.importing import source_files, source_touches
 from tactile_toolkit import cache, errors, store, touch, wording
-from tactile_toolkit.array_types import AnyArray, Floating, UInt8
+from tactile_toolkit.value_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
 _MAX_LEVEL = 255

@@ -29,7 +29,7 @@ from realtouch.importing import source_files, source_touches
 from realtouch.touches import media
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types, tables
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 _FOLDER = "webdataset"
 Sample = tuple[str, bytes | memoryview, Mapping[str, object]]

@@ -24,8 +24,7 @@ import pyarrow as pa
 
 from realtouch.formats import picture_arrays
 from tactile_toolkit import cache, errors, store, wording
-from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
+from tactile_toolkit.value_types import AnyArray, JsonDict, JsonObject, JsonValue
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MAX_METADATA_BYTES = 1 << 20

@@ -34,7 +34,7 @@ from realtouch.convert import conversion
 from realtouch.formats import exports, zarr_recordings
 from realtouch.touches import loading, media, poses, schema, stored_round
 from tactile_toolkit import read, store
-from tactile_toolkit.array_types import AnyArray, UInt8
+from tactile_toolkit.value_types import AnyArray, UInt8
 
 CHUNK_BYTES = 2 << 20
 _LEVEL = 1

@@ -21,8 +21,8 @@ from realtouch.formats.exports import CONTACT
 from realtouch.importing import source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store, wording
-from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
+from tactile_toolkit.value_types import Int64
 
 ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
 ROUND, TOUCH = "round_id", "touch"

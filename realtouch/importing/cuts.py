@@ -14,8 +14,8 @@ from realtouch.contact import ContactThresholds
 from realtouch.importing import fields, source_files, source_touches
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
-from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types, tables, units
+from tactile_toolkit.value_types import Bool, Float64, Int64, UInt8
 
 RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"

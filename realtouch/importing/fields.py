@@ -21,8 +21,8 @@ from realtouch.importing import source_files, source_touches
 from realtouch.touches.poses import bad_pose
 from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
 from tactile_toolkit import arithmetic, errors, wording
-from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.columns import column_types, units
+from tactile_toolkit.value_types import Float64, Int64
 
 UNKNOWN = ("-1", "-1.0")
 """Numbers of an unknown class, as in `datasets`."""

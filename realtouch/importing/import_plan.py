@@ -26,7 +26,7 @@ from realtouch.importing import (
     source_touches,
 )
 from tactile_toolkit import errors, store, touch, wording
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 
 _MAX_LEFT_OUT = 100
 _MAX_STREAMS = 200  # listed in the manifest

@@ -14,8 +14,8 @@ from realtouch import touch_options
 from realtouch.importing import fields, import_plan, import_sources, source_touches
 from tactile_toolkit import store, wording
 from tactile_toolkit.columns import units
-from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.touch import MEDIA_TYPE
+from tactile_toolkit.value_types import JsonValue
 
 _TOUCHES_SHOWN = 3
 _VALUES_SHOWN = 8

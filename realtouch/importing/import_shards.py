@@ -21,7 +21,6 @@ from realtouch.importing import fields, import_sources, source_touches
 from realtouch.touches import media, schema as stored_schema
 from realtouch.video import avi
 from tactile_toolkit import errors, store
-from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.touch import (
     MEDIA_TYPE,
@@ -31,6 +30,7 @@ from tactile_toolkit.touch import (
     storable_images,
     with_features,
 )
+from tactile_toolkit.value_types import AnyArray, Float64, Int64
 
 _MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20

@@ -17,8 +17,8 @@ from realtouch.importing import cuts, recognition, source_files, source_touches
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from tactile_toolkit import errors, kind, store, touch, wording
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types
+from tactile_toolkit.value_types import Float64
 
 _MAX_NAMED = 4  # files of one kind that are named one by one
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name

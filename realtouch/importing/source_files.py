@@ -18,7 +18,7 @@ from realtouch import touch_options
 from realtouch.importing import source_touches
 from tactile_toolkit import errors, run, store, touch, wording
 from tactile_toolkit.columns import column_types, tables
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 
 IMAGE_ENDINGS = tuple(ending for endings in touch.PICTURE_ENDINGS.values() for ending in endings)
 """Endings of pictures, in lower case; those of formats that cannot be read are left out and listed."""

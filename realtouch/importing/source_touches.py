@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 
 from realtouch.video.avi import MAX_CLIP_FRAMES
 from tactile_toolkit import errors, wording
-from tactile_toolkit.array_types import Bool, Float64, Int64
 from tactile_toolkit.columns import column_types
+from tactile_toolkit.value_types import Bool, Float64, Int64
 
 _LISTING = pa.schema(
     {

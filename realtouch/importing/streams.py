@@ -16,8 +16,8 @@ from realtouch import touch_options
 from realtouch.importing import fields, source_files, source_touches
 from realtouch.touch_options import Alignment
 from tactile_toolkit import errors, store
-from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
 from tactile_toolkit.columns import column_types, tables, units
+from tactile_toolkit.value_types import Bool, Float64, Floating, Int64
 
 TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
 """Names of the column of times, with or without a unit such as in ``time_ms``, unless one is named."""

@@ -14,7 +14,7 @@ import pyarrow as pa
 from realtouch import contact
 from realtouch.touches import media, rounds, schema, stored_round
 from tactile_toolkit import checked_fields, errors, kind, read, run, touch, wording
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int64, UInt8
 
 if TYPE_CHECKING:
     from datasets import Dataset

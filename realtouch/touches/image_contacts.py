@@ -12,7 +12,7 @@ from realtouch import contact
 from realtouch.touches import media, rounds
 from realtouch.touches.datasets import AnyTouches, Touches, with_no_contact
 from tactile_toolkit import errors
-from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
+from tactile_toolkit.value_types import Bool, Float64, Int64, UInt8
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20

@@ -26,7 +26,6 @@ from realtouch.touches import schema, stored_round
 from realtouch.touches.poses import Poses
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import (
     MAX_IMAGE_PIXELS,
@@ -36,6 +35,7 @@ from tactile_toolkit.touch import (
     image_size,
     is_jpeg,
 )
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Floating, UInt8
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder

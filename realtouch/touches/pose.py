@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tactile_toolkit.array_types import AnyArray, Float64
+from tactile_toolkit.value_types import AnyArray, Float64
 
 
 class Pose(RigidTransform):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile_toolkit import read, wording
-from tactile_toolkit.array_types import AnyArray, Float64, Floating
+from tactile_toolkit.value_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

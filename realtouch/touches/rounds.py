@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from realtouch import contact
 from realtouch.touches import media, poses, schema, stored_round
 from tactile_toolkit import errors, pictures, read, run, wording
-from tactile_toolkit.array_types import Float32, Floating, Int64, UInt8
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Float32, Floating, Int64, JsonDict, UInt8
 
 if TYPE_CHECKING:
     from datasets import Dataset

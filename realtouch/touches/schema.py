@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from realtouch.contact import CONTACT_METHODS, ContactMethod
 from tactile_toolkit import errors, read, store, touch, wording
-from tactile_toolkit.array_types import AnyArray, Float64
+from tactile_toolkit.value_types import AnyArray, Float64
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}

@@ -20,8 +20,7 @@ from realtouch.touches.damage import Damage, DamagedRoundError
 from realtouch.touches.poses import Poses, PoseSequences, bad_pose, pose_of
 from realtouch.video import avi
 from tactile_toolkit import errors, read, touch, wording
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
-from tactile_toolkit.json_types import JsonDict, JsonValue
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, Floating, Int64, JsonDict, JsonValue
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _CONTACT_START = "touch_start_time_rel"

@@ -12,7 +12,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from tactile_toolkit.array_types import Int64
+from tactile_toolkit.value_types import Int64
 
 MAX_CLIP_FRAMES = 10_000
 """Longest clip that is read; a touch has 58 to 90 frames."""

@@ -21,9 +21,9 @@ from av.video.stream import VideoStream
 
 from realtouch.video.video_files import CUT_SHORT, MAX_PICTURES, TOO_LARGE, Video, seconds_of
 from tactile_toolkit import wording
-from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, ImageFormat, encode_image
+from tactile_toolkit.value_types import Int64
 
 _LOSSLESS = ("ffv1", "ffvhuff", "huffyuv", "magicyuv", "png", "qtrle", "rawvideo", "utvideo")
 _LOSSY = (

@@ -12,7 +12,7 @@ from typing import IO
 import numpy as np
 
 from tactile_toolkit import errors, store, touch
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.value_types import Float64, Int64
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""

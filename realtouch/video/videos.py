@@ -18,7 +18,7 @@ import numpy as np
 from realtouch.video import video_files
 from realtouch.video.avi import CHUNK, CHUNK_BYTES, STREAM_HEADER
 from tactile_toolkit import errors, store, touch
-from tactile_toolkit.array_types import Int64
+from tactile_toolkit.value_types import Int64
 
 _MAX_HZ = 1_000_000
 _MAX_PERIOD_S = 86_400

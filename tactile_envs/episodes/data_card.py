@@ -6,8 +6,8 @@ from tactile_envs.episodes.kind import KIND
 from tactile_envs.episodes.recording import EpisodeRound
 from tactile_sim.sets.data_cards import touches_sheet
 from tactile_toolkit import cards, store, wording
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import Facts
+from tactile_toolkit.value_types import JsonObject
 
 
 def _figures(manifest: store.Manifest) -> dict[str, list[float]]:

@@ -20,7 +20,7 @@ from tactile_envs.episodes.playing import EpisodeSpec, episodes_of
 from tactile_envs.episodes.policies import Policy
 from tactile_envs.episodes.reports import Metric, Report, Summary
 from tactile_toolkit import checked_fields, run
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.value_types import Float64, Int64
 
 _RESAMPLED = 2000
 _INTERVAL = (2.5, 97.5)

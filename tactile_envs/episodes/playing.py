@@ -18,9 +18,8 @@ import numpy as np
 from tactile_envs.env_specs import NAMESPACE, env_specs
 from tactile_envs.episodes import policies
 from tactile_toolkit import checked_fields, errors, store
-from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, JsonDict, JsonObject
 from tactile_toolkit.wording import did_you_mean
 
 with errors.needs_extra("playing episodes", "gymnasium", "envs"):

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from tactile_envs.config import Action, Observation
-from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, JsonDict
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from tactile_envs.episodes.kind import KIND
 from tactile_envs.episodes.playing import Episodes, EpisodeSpec, Taken, Touch, episodes_of
 from tactile_envs.episodes.policies import Policy
 from tactile_toolkit import generation, read, rows, store, touch
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int64, JsonDict, JsonObject, UInt8
 
 _XY, _XYZ, _XYZW = (read.vectors_type(pa.float64(), size) for size in (2, 3, 4))
 _QUALITY = 95

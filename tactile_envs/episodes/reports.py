@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tactile_toolkit import cards, errors, store, wording
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 REPORT_FILES = ("report.json", "report.md", "report.png")
 """Files of a report."""

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from tactile_sim.checked_arrays import real_array, shown
 from tactile_toolkit import checked_fields, touch
-from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import Bool, Float64
 
 # Range for which single precision and the tables of the layer suffice.
 _MIN_DEPTH_M, _MAX_DEPTH_M = 1e-9, 1.0

@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.value_types import Float32, Float64
 
 NAMES = ("zz", "xx", "yy", "xy", "xz", "yz")
 

@@ -14,7 +14,7 @@ from scipy.fft import fft, ifft, irfft, rfft
 
 from tactile_sim.elastic import steps
 from tactile_sim.elastic.layer import Complex64, Layer
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.value_types import Float32, Float64
 
 _PRESS_TOLERANCE = 7e-4  # largest error of the gap, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion

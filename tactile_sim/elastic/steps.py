@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_toolkit.array_types import Bool, Float32, Float64
 from tactile_toolkit.kernels import compiled, part
+from tactile_toolkit.value_types import Bool, Float32, Float64
 
 FIRST_CONTROL = (0.3, 0.0, math.inf)
 """State of the steps of one load: share, product of last step and error, last error."""

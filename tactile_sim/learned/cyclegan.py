@@ -17,8 +17,7 @@ from tactile_sim.optics.rendering import make_optics
 from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_sim.sets.pairs import Pairs
 from tactile_sim.sets.round_plan import keyed_rng
-from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Float32, JsonDict, UInt8
 
 LOSSES = tuple(
     f"{name}_{loss}"

@@ -30,8 +30,8 @@ from tactile_sim.learned.networks import (
 from tactile_sim.optics.rendering import Optics, require_images
 from tactile_sim.optics.sensor_noise import SensorNoise, draw_noise
 from tactile_sim.press.sensors import Sensor, center_view, checked_size_px
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, UInt8
 
 # Images whose channels are in memory at a time.
 _TOGETHER = 64

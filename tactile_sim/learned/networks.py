@@ -25,9 +25,8 @@ from torch import Tensor, nn
 
 from tactile_sim import value_files
 from tactile_toolkit import store
-from tactile_toolkit.array_types import AnyArray, Float32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, Float32, JsonDict
 
 Direction = Literal["touch", "depth"]
 """Output of a generator: touches from depth, or depth from touches."""

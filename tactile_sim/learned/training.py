@@ -41,8 +41,7 @@ from tactile_sim.sets.learning_specs import TrainConfig, TrainRun
 from tactile_sim.sets.pairs import SPLITS, Pairs
 from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit import errors, store
-from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Float32, JsonDict, UInt8
 from tactile_toolkit.wording import with_count
 
 SETTINGS = "training.json"

@@ -10,9 +10,9 @@ import numpy as np
 from tactile_sim.checked_arrays import is_real_array, shown
 from tactile_sim.press.sensors import OPTICS, Sensor, checked_size_px
 from tactile_toolkit import touch
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, UInt8
 
 __all__ = ["OPTICS", "Optics", "in_size_of", "make_optics", "require_images", "scaled"]
 _FARTHEST_M = 10.0

@@ -21,9 +21,8 @@ from tactile_sim.optics.rendering import Optics
 from tactile_sim.optics.taxim_kernels import Calibration, Pair, PictureTables, blur, render_taxim
 from tactile_sim.press.sensors import Sensor
 from tactile_toolkit.arithmetic import cosine_sine, exp_neg
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import MissingExtraError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int64, JsonDict
 
 FLAT_SLOPE = 1e-5
 """Tangent of a slope below which the gel counts as flat: about the rounding of the package, which works in

@@ -10,8 +10,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Bool, Float32, Float64, Floating, Int32, Int64
 
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
 Pair: TypeAlias = tuple[Float64, Float64]

@@ -14,9 +14,9 @@ from tactile_sim.elastic.contact import ElasticContact, Gel, GelLoad, require_so
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD, checked_markers
 from tactile_sim.press.sensors import Sensor, checked_size_px, full_view
 from tactile_sim.value_files import read_values
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, UInt8
 
 MAX_SHARE = 0.5
 """Greatest press depth, as a share of the thickness of the gel; there, linear theory is only indicative."""

@@ -10,8 +10,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Float32, Float64, Int32
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
 _WARP_STEPS, _SAME_PX = 8, 1e-4  # displacements change by far less than their size from point to point

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from tactile_toolkit import checked_fields, wording
 from tactile_toolkit.checked_fields import check_fields, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
+from tactile_toolkit.value_types import JsonDict
 
 if TYPE_CHECKING:
     from tactile_sim.elastic.contact import Gel

@@ -19,9 +19,9 @@ import numpy as np
 import xxhash
 
 from tactile_toolkit import cache, checked_fields
-from tactile_toolkit.array_types import AnyArray, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, check_manifold
+from tactile_toolkit.value_types import AnyArray, Float64, Int32
 
 # Layers of printers have 0.05 to 0.6 mm; a wrong unit gives a factor of 1,000.
 _MIN_LAYER_M, _MAX_LAYER_M = 2e-5, 2e-3

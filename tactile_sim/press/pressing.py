@@ -16,10 +16,10 @@ from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.array_types import Float32, Float64, Int32, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
+from tactile_toolkit.value_types import Float32, Float64, Int32, UInt8
 
 _MAX_CELL_M = 10.0
 _FARTHEST = 1e3  # metres or radians of a pose; pixels of kernels are 64-bit integers

@@ -19,7 +19,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 
 if TYPE_CHECKING:
-    from tactile_toolkit.array_types import Float32, Float64, UInt8
+    from tactile_toolkit.value_types import Float32, Float64, UInt8
 
 
 OPTICS = ("depth", "taxim", "cyclegan", "twin")

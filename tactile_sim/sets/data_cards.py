@@ -15,10 +15,9 @@ from tactile_sim.sets.generation import SyntheticRound
 from tactile_sim.sets.pairs import PairRow, decode_depth
 from tactile_sim.sets.touch_spec import WINDOWS
 from tactile_toolkit import cards, store, touch, wording
-from tactile_toolkit.array_types import AnyArray, UInt8
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import Facts
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
+from tactile_toolkit.value_types import AnyArray, JsonObject, UInt8
 
 _RIGID_LIMIT = (
     "No force, dynamics or tilt: the gel stops by geometry only, and nothing moves while it is touched."

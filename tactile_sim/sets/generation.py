@@ -19,9 +19,8 @@ from tactile_sim.sets import round_press, touched_solids
 from tactile_sim.sets.round_plan import plan_round
 from tactile_sim.sets.touch_spec import TouchSetSpec
 from tactile_toolkit import catalog, generation, places, read, rows, store, touch
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.value_types import Float32, Float64, Int64, JsonObject
 
 EXTRA = "extra."
 """Prefix of columns that only some sets have: ``touch.extra["force_n"]`` reads them."""

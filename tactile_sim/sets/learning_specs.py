@@ -12,8 +12,8 @@ from tactile_sim.sets.touch_spec import SENSOR_NOISE, WINDOWS
 from tactile_toolkit import checked_fields, store, touch
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import lazy
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 if TYPE_CHECKING:
     from tactile_sim.optics.sensor_noise import SensorNoise

@@ -24,9 +24,8 @@ from tactile_sim.sets import pairs, round_plan, touched_solids
 from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.touch_spec import TouchPlan
 from tactile_toolkit import generation, places, read, store, touch
-from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.value_types import Float32, Float64, JsonObject
 from tactile_toolkit.wording import with_count
 
 # One real touch in five has contact: 16 places in the cell fail 3 times in 100; then places on the object are

@@ -15,9 +15,9 @@ from tactile_sim.kind import KIND
 from tactile_sim.press.sensors import Sensor, sensor_of_window
 from tactile_sim.sets.touch_spec import WINDOWS
 from tactile_toolkit import places, read, touch
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.rows import TypedRow, column
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Int64
 
 SPLITS = ("depth", "real")
 """Splits of a training set."""

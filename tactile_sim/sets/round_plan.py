@@ -12,7 +12,7 @@ from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import pose, pose_product, turn_quaternion
 from tactile_sim.sets.touch_spec import TouchPlan
 from tactile_toolkit import arithmetic, touch
-from tactile_toolkit.array_types import Float64
+from tactile_toolkit.value_types import Float64
 
 REACH_M = (0.0385, 0.0405)
 """Greatest distance of the gel from the middle of the cell along x and y, metres: half the cell less

@@ -23,9 +23,8 @@ from tactile_sim.press.pressing import Pressed, pose, render_touch
 from tactile_sim.sets.round_plan import keyed_rng, on_object
 from tactile_sim.sets.touch_spec import TouchSetSpec
 from tactile_toolkit import arithmetic, read, store, touch
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MeshLike
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, JsonDict, UInt8
 
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096

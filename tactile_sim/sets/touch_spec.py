@@ -15,9 +15,9 @@ from tactile_sim.press.press_spec import ElasticPress
 from tactile_sim.press.sensors import GELSIGHT_MINI, OPTICS, SENSORS, SensorModel, checked_sensor
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch import size_option
+from tactile_toolkit.value_types import JsonDict
 
 if TYPE_CHECKING:
     from tactile_sim.optics.sensor_noise import SensorNoise

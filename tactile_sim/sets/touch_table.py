@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 
 from tactile_sim.checked_arrays import real_array
 from tactile_toolkit import store, touch
-from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.columns import column_types, tables, units
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import AnyArray, Float64, JsonDict
 
 _POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")

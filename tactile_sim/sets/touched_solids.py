@@ -12,9 +12,8 @@ import numpy as np
 
 from tactile_sim.sets.touch_table import TouchTable
 from tactile_toolkit import mesh, places, read, touch
-from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import AnyArray, Int64, JsonDict, JsonObject
 
 Meshes: TypeAlias = "Mapping[str, mesh.MeshLike | Sequence[mesh.MeshLike]]"
 """Meshes in memory by the name of their class: one each, or several."""

@@ -17,8 +17,8 @@ from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
 from tactile_sim.twin.twin import Twin, TwinOptics
-from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import Bool, Int64
 from tactile_toolkit.wording import with_count
 
 Progress = Callable[[int, int], None]

@@ -21,7 +21,7 @@ from tactile_sim.twin.recordings import unsaturated
 
 if TYPE_CHECKING:
     from tactile_sim.twin.recordings import Recordings, Relief
-    from tactile_toolkit.array_types import Bool, Float32, Float64
+    from tactile_toolkit.value_types import Bool, Float32, Float64
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)

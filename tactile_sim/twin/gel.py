@@ -18,7 +18,7 @@ import numpy as np
 from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels
 from tactile_toolkit.arithmetic import exp_neg
-from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
+from tactile_toolkit.value_types import Float32, Float64, Floating, Int64
 
 _WIDTHS = 6  # as in Taxim, each about half of the previous one
 _REACH = 4.0  # of the gel's kernels, in standard deviations

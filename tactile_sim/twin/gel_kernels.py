@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.kernels import compiled, part
+from tactile_toolkit.value_types import Float32, Float64, Int64
 
 TURNS, STEPS = 18, 10
 """Directions of both tables, and entries along steepness and along depth."""

@@ -29,7 +29,7 @@ from tactile_sim.twin.pose_search import (
 )
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.rounds_of_fit import start_fit
-from tactile_toolkit.array_types import Bool, Float32, Float64
+from tactile_toolkit.value_types import Bool, Float32, Float64
 
 _SEARCH_PX, _FIT_PX = 40, 80  # widths of the images in the search and in the fit
 _HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and colours that are refined

@@ -17,7 +17,7 @@ import scipy
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import gel_kernels
 from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief
-from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
+from tactile_toolkit.value_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.wording import with_count
 
 MIN_TOUCHES = 5

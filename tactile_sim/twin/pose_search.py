@@ -17,7 +17,7 @@ import scipy
 
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, shrunk
-from tactile_toolkit.array_types import Bool, Float32, Float64
+from tactile_toolkit.value_types import Bool, Float32, Float64
 
 TURNS = 72
 _SMOOTH_PX = 1.0

@@ -22,7 +22,7 @@ from tactile_sim.twin.fitting import Fit, shrunk
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.recordings import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
-from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
+from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
 
 _LEAK = np.float32(0.1)
 _RATE, _BATCH = 5e-3, 4096

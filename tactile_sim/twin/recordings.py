@@ -12,10 +12,10 @@ from tactile_sim.optics.rendering import require_images
 from tactile_sim.press.press_kernels import rasterise
 from tactile_sim.press.pressable import Pressable
 from tactile_toolkit import checked_fields
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 
 _PITCH_M = 5e-5  # the pixel of a GelSight Mini has 59 micrometres
 _MAX_POINTS = 1 << 24

@@ -11,7 +11,7 @@ from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import Recordings, Relief
-from tactile_toolkit.array_types import Float32, Float64, Int64
+from tactile_toolkit.value_types import Float32, Float64, Int64
 
 # First guesses, close to Taxim's calibration of the GelSight Mini.
 _WIDTH_M = 9e-4

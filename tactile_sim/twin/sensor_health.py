@@ -19,9 +19,8 @@ from tactile_sim.optics.rendering import in_size_of
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin.sources import image_paths, read_image, spaced
 from tactile_toolkit import places, store
-from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Bool, Float32, Float64, JsonDict, UInt8
 from tactile_toolkit.wording import with_count
 
 MIN_IMAGES = 5

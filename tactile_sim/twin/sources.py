@@ -16,10 +16,10 @@ from tactile_sim.sets.touch_table import meaning_of
 from tactile_sim.sets.touched_solids import given_solids, open_split
 from tactile_sim.twin.recordings import Recordings
 from tactile_toolkit import places, store, touch
-from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.columns import known_formats, tables, units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.value_types import Float64, UInt8
 
 MAX_TOUCHES = 60
 """Greatest number of touches that are used, evenly spaced; 20 are enough, and time grows with the number."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tactile_sim.optics import taxim_kernels
-from tactile_toolkit.array_types import Float32, Float64, Floating
 from tactile_toolkit.kernels import compiled
+from tactile_toolkit.value_types import Float32, Float64, Floating
 
 _RUN = 3  # pixels from which the slope at an edge is computed
 

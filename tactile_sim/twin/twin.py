@@ -15,8 +15,8 @@ from tactile_sim.optics.rendering import Optics
 from tactile_sim.press.sensors import Sensor
 from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.value_files import npz_bytes
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Floating, UInt8
 
 Surface: TypeAlias = Callable[[Floating, Float64, Float64, int, Float64], Float32]
 """Returns the surface of a gel as it is seen, like :func:`tactile_sim.twin.gel.gel_surface`."""

@@ -18,7 +18,7 @@ from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     from tactile_sim.press.sensors import SensorModel
-    from tactile_toolkit.array_types import AnyArray
+    from tactile_toolkit.value_types import AnyArray
 
 SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
 _FORMAT, _VERSION = "tactile-sim sensor", 1

@@ -13,15 +13,14 @@ from string import Template
 import numpy as np
 
 from tactile_toolkit import catalog, mesh, pictures, store, wording
-from tactile_toolkit.array_types import Float32, Int32
 from tactile_toolkit.cards import owner, yaml_head
 from tactile_toolkit.cards.yaml_head import FolderSummary
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh import records
 from tactile_toolkit.mesh.files import unpack_mesh
 from tactile_toolkit.pictures import solid_views
+from tactile_toolkit.value_types import Float32, Int32, JsonDict, JsonObject, JsonValue
 from tactile_toolkit.wording import markdown_code, markdown_text
 
 PREVIEW_FOLDER = "previews"

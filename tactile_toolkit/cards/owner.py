@@ -14,7 +14,7 @@ from functools import partial
 from tactile_toolkit import store, wording
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 KEY = "owner"
 """Key of the head of a card."""

@@ -20,10 +20,10 @@ import yaml
 
 from tactile_toolkit import places, read, run, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.places.opening import folder_place
 from tactile_toolkit.read import schemas
 from tactile_toolkit.store.manifest import DATA_FOLDER, VIEWER_FOLDER, ShardRecord
+from tactile_toolkit.value_types import JsonDict, JsonObject, JsonValue
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"

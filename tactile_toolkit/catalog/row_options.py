@@ -9,7 +9,7 @@ from typing import ClassVar, TypeAlias
 
 from tactile_toolkit.checked_fields import check_fields, integer, is_integer, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import JsonDict
 from tactile_toolkit.wording import comma_separated
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)

@@ -14,12 +14,12 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from tactile_toolkit import checked_fields, mesh, places, read, run, store
-from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.catalog.row_options import IdChoice, IdOrRange, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.read import record
 from tactile_toolkit.store.manifest import DATA_FOLDER, damaged_error
+from tactile_toolkit.value_types import Bool, Int64
 
 D = TypeVar("D", bound=read.RecordDataset[Any])
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.

@@ -20,8 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import AnyArray, Float64, Int64
-from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.value_types import AnyArray, Float64, Int64, JsonValue
 
 T = TypeVar("T")
 

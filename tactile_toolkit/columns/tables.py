@@ -20,11 +20,10 @@ import pyarrow.json
 import pyarrow.parquet as pq
 
 from tactile_toolkit import cache, store, wording
-from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.columns.known_formats import KnownFormat
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.value_types import Int64, JsonDict
 
 MAX_ROWS = 1 << 25
 """Longest table that is read in parts: nine hours of 1,000 rows a second."""

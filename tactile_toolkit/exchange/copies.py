@@ -15,14 +15,13 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import catalog, errors, mesh, places, read, run, store, wording
-from tactile_toolkit.array_types import Int64
 from tactile_toolkit.catalog import row_options
 from tactile_toolkit.catalog.rows import short_name
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh import records
 from tactile_toolkit.read import schemas
 from tactile_toolkit.store.manifest import VIEWER_FOLDER, ShardRecord
+from tactile_toolkit.value_types import Int64, JsonDict, JsonObject
 
 _LARGEST_ID = (1 << 63) - 1
 _ROWS_PER_FILE = 1000

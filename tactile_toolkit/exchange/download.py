@@ -15,7 +15,6 @@ import msgspec
 from tactile_toolkit import cards, errors, hub, places, run, store
 from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.hub.calls import not_cached
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, PublishedSet
 from tactile_toolkit.places.opening import repository_place
 from tactile_toolkit.places.place import published_set, require_kind
@@ -23,6 +22,7 @@ from tactile_toolkit.store.folder import PENDING_FOLDER, LocalFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import write_manifest
 from tactile_toolkit.store.verification import DownloadRecord, HubFile, digest_like, write_download_record
+from tactile_toolkit.value_types import JsonDict
 
 # Files that are adapted to the splits of the folder.
 _METADATA_FILES = (store.CARD_FILE, store.MANIFEST_FILE)

@@ -22,13 +22,13 @@ from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.hub.calls import call_with_retry, page_of
 from tactile_toolkit.hub.repository import HubName, listing
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places.opening import folder_place
 from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.manifest import VIEWER_FOLDER
 from tactile_toolkit.store.remote import FsspecFolder
 from tactile_toolkit.store.verification import HubFile, has_digest
+from tactile_toolkit.value_types import JsonDict
 
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})

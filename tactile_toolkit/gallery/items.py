@@ -17,13 +17,12 @@ import pyarrow as pa
 from PIL import Image
 
 from tactile_toolkit import catalog, mesh, pictures, places, read
-from tactile_toolkit.array_types import Floating, Int64, Integers, UInt8
 from tactile_toolkit.catalog.rows import short_name
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import images
+from tactile_toolkit.value_types import Floating, Int64, Integers, JsonDict, JsonObject, JsonValue, UInt8
 from tactile_toolkit.wording import class_name
 
 SPLIT = "split"

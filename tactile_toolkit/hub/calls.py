@@ -22,8 +22,8 @@ from urllib.parse import urlsplit
 import huggingface_hub
 
 from tactile_toolkit import errors
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.store import remote
+from tactile_toolkit.value_types import JsonDict
 
 ANSWER_BYTES = 32 << 20
 """Largest unpacked answer that is not a file: a listing of more than 100,000 files."""

@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.kernels import compiled, part
+from tactile_toolkit.value_types import Float64, Int64
 
 Vector: TypeAlias = tuple[float, float, float]
 

@@ -15,7 +15,6 @@ from itertools import product
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.mesh.box_tree import (
     Vector,
@@ -28,6 +27,7 @@ from tactile_toolkit.mesh.box_tree import (
     row_of,
     sub,
 )
+from tactile_toolkit.value_types import Float64, Int64
 
 _TOLERANCE = 2.0**-21
 

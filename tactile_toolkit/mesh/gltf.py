@@ -14,10 +14,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from tactile_toolkit import arithmetic, cache
-from tactile_toolkit.array_types import AnyArray, AnyDtype, Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.mesh.mesh import Surface, join_surfaces, placed
+from tactile_toolkit.value_types import AnyArray, AnyDtype, Float32, Float64, Int32, JsonValue
 
 # glTF uses the numbers of OpenGL.
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from tactile_toolkit.arithmetic import moved
-from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int32, Integers
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import AnyArray, Float64, Floating, Int32, Integers
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:

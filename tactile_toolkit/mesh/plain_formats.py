@@ -18,9 +18,9 @@ from typing import TypeVar
 import manifold3d
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Surface
+from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int32, Int64
 
 _MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 

@@ -16,12 +16,11 @@ from typing import ClassVar
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.array_types import Float32, Float64
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.rows import TypedRow, column
+from tactile_toolkit.value_types import Float32, Float64, JsonDict
 from tactile_toolkit.wording import with_count
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")

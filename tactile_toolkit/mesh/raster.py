@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float32, Float64, Int64, Integers
+from tactile_toolkit.value_types import Float32, Float64, Int64, Integers
 
 MAX_PIXELS = 1 << 27
 """Largest grid, 512 MiB; a finer pitch is refused."""

@@ -14,12 +14,11 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import read, rows
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.mesh.files import pack_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read import schemas
+from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int32, JsonValue
 
 if TYPE_CHECKING:
     import trimesh

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
 import numpy as np
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import Float32, Float64, Floating, Integers, UInt8
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.raster import MAX_PIXELS, covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
 from tactile_toolkit.read import training_batches
+from tactile_toolkit.value_types import Float32, Float64, Floating, Integers, UInt8
 
 if TYPE_CHECKING:
     import torch

@@ -20,11 +20,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from tactile_toolkit import cache
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, join_surfaces, placed
 from tactile_toolkit.mesh.plain_formats import numbers_of
+from tactile_toolkit.value_types import Float64
 from tactile_toolkit.wording import with_count
 
 SCHEMAS = "http://schemas.microsoft.com/3dmanufacturing"

@@ -18,7 +18,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.mesh.box_tree import (
     DEEPEST,
@@ -32,6 +31,7 @@ from tactile_toolkit.mesh.box_tree import (
     sub,
     tree_of,
 )
+from tactile_toolkit.value_types import Float32, Float64, Int64
 
 Solid: TypeAlias = tuple[Float64, Int64, Float64, Float64, Int64]
 """The result of :func:`_surface_of`."""

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from tactile_toolkit import catalog, places, store
-from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.pictures.solid_views import solid_sheet
+from tactile_toolkit.value_types import UInt8
 from tactile_toolkit.wording import with_count
 
 _TILE_PX = 140  # of the largest object of a sheet

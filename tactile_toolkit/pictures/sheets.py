@@ -19,9 +19,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from tactile_toolkit import touch
-from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import images
+from tactile_toolkit.value_types import UInt8
 
 Colour: TypeAlias = tuple[int, int, int]
 INK: Colour = (32, 36, 42)

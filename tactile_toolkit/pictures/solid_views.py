@@ -11,11 +11,11 @@ import numpy as np
 from PIL import Image
 
 from tactile_toolkit import arithmetic, mesh
-from tactile_toolkit.array_types import Float64, Floating, Int64, Integers, UInt8
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.mesh.mesh import join_surfaces
 from tactile_toolkit.mesh.raster import highest_faces
 from tactile_toolkit.pictures.sheets import PAPER, Colour, Drawn, Tile, sheet
+from tactile_toolkit.value_types import Float64, Floating, Int64, Integers, UInt8
 from tactile_toolkit.wording import class_name, with_count
 
 # Pictures are drawn larger by this factor and averaged, for smooth edges.

@@ -17,7 +17,6 @@ import pyarrow as pa
 from tactile_toolkit import errors, hub, mesh, read, run, store, wording
 from tactile_toolkit.hub.calls import hub_failures, not_cached
 from tactile_toolkit.hub.repository import HubName, find_cached
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others, kinds
 from tactile_toolkit.places.split_files import (
     USUAL_SPLIT,
@@ -27,6 +26,7 @@ from tactile_toolkit.places.split_files import (
     unknown_split,
 )
 from tactile_toolkit.store.verification import DownloadRecord
+from tactile_toolkit.value_types import JsonObject
 
 _COLUMNS_SHOWN = 8
 _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"

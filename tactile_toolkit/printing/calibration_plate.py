@@ -18,7 +18,6 @@ from manifold3d import CrossSection, Manifold, OpType
 from PIL import Image
 
 from tactile_toolkit import pictures
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
@@ -28,6 +27,7 @@ from tactile_toolkit.printing.file_export import (
     PrintObject,
     Product,
 )
+from tactile_toolkit.value_types import Float64
 
 PLATE_NAME = "calibration-plate"
 SHEET_FILE = "press-here.md"

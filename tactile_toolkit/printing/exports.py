@@ -16,7 +16,6 @@ import numpy as np
 
 from tactile_toolkit import catalog, places
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
@@ -38,6 +37,7 @@ from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_ma
 from tactile_toolkit.printing.print_options import ExportOptions
 from tactile_toolkit.printing.simulator import body_of, model_files, pack_mjcf
 from tactile_toolkit.store.addresses import local_folder_path
+from tactile_toolkit.value_types import JsonDict
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Meshes that a file for simulators refers to; other files next to them are never replaced.

@@ -17,13 +17,13 @@ import numpy as np
 
 from tactile_toolkit import catalog, mesh, read, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.run import runner_for
 from tactile_toolkit.store.addresses import local_folder_path
 from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
 from tactile_toolkit.store.folder import LocalFolder
+from tactile_toolkit.value_types import JsonValue
 from tactile_toolkit.wording import class_name, with_count
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ import numpy as np
 from PIL import Image
 
 from tactile_toolkit import pictures
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.pictures import sheets
@@ -22,6 +21,7 @@ from tactile_toolkit.printing.file_export import (
     require_scale,
 )
 from tactile_toolkit.printing.print_options import Physics, PlateSpec
+from tactile_toolkit.value_types import Float64
 from tactile_toolkit.wording import with_count
 
 # Objects as wide as the plate fit, despite rounding.

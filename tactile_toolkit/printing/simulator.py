@@ -14,11 +14,11 @@ import numpy as np
 from manifold3d import CrossSection
 from scipy.spatial.transform import Rotation
 
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.print_options import Physics
+from tactile_toolkit.value_types import Float64
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -15,9 +15,9 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import checked_fields, errors, wording
-from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.read import order, record, schemas, shard, sharded_table
 from tactile_toolkit.read.record import Record, Row
+from tactile_toolkit.value_types import AnyArray, Int64
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit import cache, checked_fields, errors, wording
-from tactile_toolkit.array_types import Int64
+from tactile_toolkit.value_types import Int64
 
 _KEPT_WINDOWS = 2  # a batch may extend over the end of one
 _ROUNDING = 1e-9  # 0.7 + 0.2 + 0.1 is 0.9999999999999999

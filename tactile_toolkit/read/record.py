@@ -10,10 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.array_types import AnyArray, Bool, Int64
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read.schemas import column_names, list_depth
+from tactile_toolkit.value_types import AnyArray, Bool, Int64, JsonDict
 
 T = TypeVar("T")
 

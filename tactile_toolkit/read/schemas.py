@@ -10,7 +10,7 @@ import msgspec
 import pyarrow as pa
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
+from tactile_toolkit.value_types import JsonDict, JsonObject, JsonValue
 
 N = TypeVar("N", tuple[str, ...], None)
 

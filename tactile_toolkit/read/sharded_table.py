@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import run, wording
-from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.read.record import RowGroup, numpy_values
 from tactile_toolkit.read.shard import Shard
+from tactile_toolkit.value_types import AnyArray, Int64
 
 T = TypeVar("T")
 _FEW_SHARDS = 8

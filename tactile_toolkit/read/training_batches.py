@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tactile_toolkit import checked_fields, errors
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 if TYPE_CHECKING:
     import torch

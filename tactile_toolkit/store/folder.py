@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import IO, ClassVar, Protocol, TypeVar
 
 from tactile_toolkit import errors, run
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.files import (
     expanded,
     leads_elsewhere,
@@ -36,6 +35,7 @@ from tactile_toolkit.store.files import (
     write_file,
 )
 from tactile_toolkit.store.locks import locked
+from tactile_toolkit.value_types import JsonObject
 
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""

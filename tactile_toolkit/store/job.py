@@ -22,7 +22,6 @@ import msgspec
 import pyarrow as pa
 
 from tactile_toolkit import __version__, errors, run, wording
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.files import is_hidden
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.manifest import (
@@ -41,6 +40,7 @@ from tactile_toolkit.store.manifest import (
     write_manifest,
 )
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
+from tactile_toolkit.value_types import JsonObject
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5

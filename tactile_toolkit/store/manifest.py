@@ -17,9 +17,9 @@ from typing import Annotated, Any, ClassVar, TypeVar, cast
 import msgspec
 
 from tactile_toolkit import errors, kind, wording
-from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.store.files import names_inside
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 MANIFEST_FILE = "manifest.json"
 DATA_FOLDER = "data"

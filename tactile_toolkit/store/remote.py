@@ -30,9 +30,9 @@ from tactile_toolkit.errors import (
     ToolkitError,
     redact,
 )
-from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.store.files import named_failures, scratch_folder
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.value_types import JsonDict, JsonObject, JsonValue
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem

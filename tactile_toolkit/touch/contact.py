@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from tactile_toolkit import checked_fields, errors, wording
-from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.value_types import JsonValue
 
 CELL_M = (0.12, 0.12)
 """Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""

@@ -22,10 +22,9 @@ import simplejpeg
 from PIL import Image, UnidentifiedImageError, features
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.errors import ItemError, install_line
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.read import schemas
+from tactile_toolkit.value_types import AnyArray, JsonObject, UInt8
 
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""

@@ -12,7 +12,7 @@ import av
 import numpy as np
 from PIL import Image
 
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.value_types import UInt8
 
 HEIGHT, WIDTH = 48, 64
 FPS = 30
