@@ -102,8 +102,9 @@ def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
     for part in _read_folders(home, format_.layout, columns, spec.table, ledger):
         versions |= versions_of(_files_of_several(part) - versions.keys(), opened)
         if isinstance(part, source_touches.Recording):
-            ledger.left_out.update(dict.fromkeys(part.left_out))
-            parts.append(cutter.cut(aligner.aligned(part)))
+            aligned = aligner.aligned(part)
+            ledger.left_out.update(dict.fromkeys(aligned.left_out))
+            parts.append(cutter.cut(aligned))
         else:
             parts.append(aligner.aligned_images(_timed(part, columns)))
     touches = source_touches.SourceTouches.joined([*parts, *cutter.unused()])

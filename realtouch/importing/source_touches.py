@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any, NamedTuple, overload
@@ -330,6 +330,35 @@ class Clip:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Samples with other times than the pictures, or a row for each picture of a recording.
+
+    Attributes
+    ----------
+    name : str
+        Name in the summary, and prefix of columns whose names are taken.
+    address : str
+        Address, for messages.
+    read : callable
+        Returns the columns of some rows by their numbers, int64, shape (n,), n > 0, increasing.
+    rows : int
+        Number of rows.
+    time_column : str
+        Column of times among those that ``read`` returns; empty if there is none.
+    time_s : ndarray of float64, shape (rows,), or None
+        Times of samples, seconds, not decreasing; None if a row is a picture. If samples have the same time,
+        the first of them counts.
+    """
+
+    name: str
+    address: str
+    read: Callable[[Int64], dict[str, pa.Array]] = field(repr=False)
+    rows: int
+    time_column: str = ""
+    time_s: Float64 | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Recording:
     """A sequence of pictures: an episode, a video, or an array.
 
@@ -365,6 +394,8 @@ class Recording:
         Data of the recording that are not imported, each with its shape or the reason.
     is_at_stated_rate : bool
         Whether its times follow from the rate that its file states, which is often not that of the camera.
+    streams : tuple of Stream
+        Samples that its file holds beside the pictures, with times of the same clock.
     """
 
     name: str
@@ -383,6 +414,7 @@ class Recording:
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
     is_at_stated_rate: bool = False
+    streams: tuple[Stream, ...] = ()
 
     def location(self, start: int, stop: int) -> PictureLocation:
         """Return the location of the pictures from ``start`` to the one before ``stop``."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import PurePosixPath
 
@@ -41,37 +41,9 @@ _FLOATS = (pa.float64(), pa.list_(pa.float64()))
 _NUMBERS = (pa.float64(), pa.int64())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stream:
-    """A table with a row for each sample, or for each picture of a recording.
-
-    Attributes
-    ----------
-    name : str
-        Name in the summary, and prefix of columns whose names are taken.
-    address : str
-        Address, for messages.
-    table : Table
-        The table, which is read again for the samples that are used.
-    rows : int
-        Number of rows.
-    time_column : str
-        Column of times; empty if a row is a picture.
-    time_s : ndarray of float64, shape (rows,), or None
-        Times of samples, seconds, not decreasing. If samples have the same time, the first of them counts.
-    """
-
-    name: str
-    address: str
-    table: tables.Table = field(repr=False)
-    rows: int
-    time_column: str = ""
-    time_s: Float64 | None = field(default=None, repr=False)
-
-
 def open_stream(
     folder: store.DataFolder, name: str, columns: touch_options.ImportColumns, stem: str = ""
-) -> Stream:
+) -> source_touches.Stream:
     """Read the times of a table.
 
     Parameters
@@ -99,8 +71,9 @@ def open_stream(
     whole = PurePosixPath(name).stem
     shown = whole.removeprefix(stem).lstrip(_JOINTS) or whole
     if not column:
-        return Stream(shown, address, table, rows)
-    return Stream(shown, address, table, rows, column, _seconds(values, column, columns.time_unit, address))
+        return source_touches.Stream(shown, address, table.rows, rows)
+    time_s = _seconds(values, column, columns.time_unit, address)
+    return source_touches.Stream(shown, address, table.rows, rows, column, time_s)
 
 
 def _time_column(time: str | None, address: str, names: Sequence[str]) -> str:
@@ -184,7 +157,7 @@ class Aligner:
     times : set of str
         Columns of times that were used.
     tables : set of str
-        Addresses of the tables that were read.
+        Addresses of the tables and other streams that were read.
 
     Raises
     ------
@@ -211,11 +184,19 @@ class Aligner:
     def aligned(self, recording: source_touches.Recording) -> source_touches.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
 
-        If a table beside the recording does not fit, the recording has a problem. Raises InputError if a
-        stream that was named does not fit.
+        A stream of its own file that does not fit is left out. If a table beside the recording does not fit,
+        the recording has a problem. Raises InputError if a stream that was named does not fit.
         """
         if recording.problem is not None:
             return recording
+        for stream in recording.streams:
+            self.tables.add(stream.address)
+            try:
+                recording, reports = with_streams(recording, [stream], self._how, self._columns)
+                self.reports += reports
+            except errors.InputError as error:
+                left_out = f"{stream.name}: {error.message}"
+                recording = replace(recording, left_out=(*recording.left_out, left_out))
         try:
             recording = self._timed(recording)
             beside = self._streams_beside(recording)
@@ -274,7 +255,7 @@ class Aligner:
         time_s = fields.times_s(recording.per_frame[name], name, self._columns.time_unit)
         return replace(recording, time_s=time_s, is_at_stated_rate=False)
 
-    def _streams_beside(self, recording: source_touches.Recording) -> list[Stream]:
+    def _streams_beside(self, recording: source_touches.Recording) -> list[source_touches.Stream]:
         folder, _, name = recording.path.rpartition("/")
         stem = PurePosixPath(name).stem
         return [
@@ -301,7 +282,7 @@ class Aligner:
 
 def with_streams(
     recording: source_touches.Recording,
-    streams: Sequence[Stream],
+    streams: Sequence[source_touches.Stream],
     how: Alignment,
     columns: touch_options.ImportColumns,
     *,
@@ -361,7 +342,11 @@ def with_streams(
 
 
 def _require_same_duration(
-    recording: source_touches.Recording, stream: Stream, video_s: float, stream_s: float, how: Alignment
+    recording: source_touches.Recording,
+    stream: source_touches.Stream,
+    video_s: float,
+    stream_s: float,
+    how: Alignment,
 ) -> None:
     """Raise InputError if a stream lasts longer or shorter than its video at the rate that the file states.
 
@@ -379,7 +364,7 @@ def _require_same_duration(
     )
 
 
-def _by_row(recording: source_touches.Recording, stream: Stream) -> dict[str, pa.Array]:
+def _by_row(recording: source_touches.Recording, stream: source_touches.Stream) -> dict[str, pa.Array]:
     """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
@@ -388,12 +373,12 @@ def _by_row(recording: source_touches.Recording, stream: Stream) -> dict[str, pa
             f"{recording.frames:,} pictures; expected equal numbers, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
         )
-    return _columns(stream.table.rows(np.arange(stream.rows)), stream)
+    return _columns(stream.read(np.arange(stream.rows)), stream)
 
 
 def _by_time(
     recording: source_touches.Recording,
-    stream: Stream,
+    stream: source_touches.Stream,
     time_s: Float64,
     sample_s: Float64,
     how: Alignment,
@@ -418,7 +403,7 @@ def _by_time(
         )
     used = np.unique([around.before, around.after])
     around = Neighbours.of(time_s, sample_s[used], max_gap_s)
-    samples = _columns(stream.table.rows(used), stream)
+    samples = _columns(stream.read(used), stream)
     nearest = pa.array(around.nearest, mask=around.missing)
     values = {name: column.take(nearest) for name, column in samples.items()}
     if how.method == "linear":
@@ -465,7 +450,7 @@ def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
     return column.take(pa.array(numbers, mask=around.missing))
 
 
-def _columns(samples: dict[str, pa.Array], stream: Stream) -> dict[str, pa.Array]:
+def _columns(samples: dict[str, pa.Array], stream: source_touches.Stream) -> dict[str, pa.Array]:
     """Return the columns of a stream without its times; InputError for objects, bytes and uneven lists."""
     samples.pop(stream.time_column, None)
     for name, column in samples.items():

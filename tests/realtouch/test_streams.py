@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation, Slerp
 import realtouch
 from realtouch import ImportColumns
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.source_touches import Recording
-from realtouch.importing.streams import Aligner, Stream, open_stream, tables_by_stem, with_streams
+from realtouch.importing.source_touches import Recording, Stream
+from realtouch.importing.streams import Aligner, open_stream, tables_by_stem, with_streams
 from realtouch.touch_options import STREAM_HEADER, Alignment
 from realtouch.video.avi import write_avi
 from tactile_toolkit import store
