@@ -25,12 +25,13 @@ from PIL import Image
 
 import realtouch
 from tactile_sim import center_view
-from tactile_sim.learned.inference import CycleganOptics, make_generator
-from tactile_sim.learned.networks import (
+from tactile_sim.learned.generators import (
     PUBLISHED_SIZE_PX,
+    CycleganOptics,
     GeneratorNetwork,
     GeneratorWeights,
     initialise,
+    make_generator,
     published_weights,
     read_weights,
     weights_of,

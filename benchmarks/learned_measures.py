@@ -13,15 +13,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from tactile_sim.learned.inference import (
+from tactile_sim.learned.generators import (
     Generator,
     depth_channels,
     generated,
+    generator_of,
+    initialise,
     make_generator,
     picture_channels,
     pictures_from,
+    read_weights,
+    weights_of,
 )
-from tactile_sim.learned.networks import generator_of, initialise, read_weights, weights_of
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.optics.rendering import make_optics
 from tactile_sim.optics.sensor_noise import SensorNoise, add_noise

@@ -29,7 +29,7 @@ from scipy.ndimage import gaussian_filter
 
 from tactile_sim import center_view
 from tactile_sim.learned import DepthEstimator
-from tactile_sim.learned.inference import CycleganOptics
+from tactile_sim.learned.generators import CycleganOptics
 from tests.published_envs import published_package
 
 SIZE = (64, 64)

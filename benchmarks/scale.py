@@ -35,7 +35,7 @@ from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.generation import plan_build
 from tactile_toolkit.run import RayRunner, Runner
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 
 ROWS: dict[str, Callable[[], None]] = {}
 """What can be measured; a new row is a function with this decorator, which prints its figures."""

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import IO, TypeVar
 
-from tactile_toolkit import checked_fields, errors, wording
-from tactile_toolkit.progress import shown_progress
+from tactile_toolkit import checked_fields, errors, run, wording
 from tactile_toolkit.value_types import JsonValue
 
 T = TypeVar("T")
@@ -94,11 +93,11 @@ class Sink:
 
     @contextmanager
     def progress(self, what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-        """Show progress unless ``--quiet`` was given; see :func:`tactile_toolkit.progress.shown_progress`."""
+        """Show progress unless ``--quiet`` was given; see :func:`tactile_toolkit.run.shown_progress`."""
         quiet_s = 0.0
         if self.quiet:
             quiet_s = math.inf
-        with shown_progress(what, unit, quiet_s) as update:
+        with run.shown_progress(what, unit, quiet_s) as update:
             yield update
 
 

@@ -17,11 +17,10 @@ import realtouch
 import starstruck_gen
 from env_assets import mesh_view
 from env_assets.wrench.dataset import WrenchDataset
-from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, store
+from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, run, store
 from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.mesh import SolidDataset
 from tactile_toolkit.places import open_place
-from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
@@ -332,7 +331,7 @@ class AssetProvider:
     def _make(self, name: str, split: str, default_set: DefaultSet, source: str) -> None:
         nouns = KINDS[name].nouns
         what = f"making {nouns} (split {split}) in {source}"
-        with shown_progress(what, nouns, _QUIET_S) as update:
+        with run.shown_progress(what, nouns, _QUIET_S) as update:
 
             def on_progress(progress: store.Progress) -> None:
                 update(progress.done, progress.total)

@@ -22,7 +22,7 @@ import numpy as np
 import xxhash
 
 from env_assets import mesh_view
-from tactile_toolkit import cache, mesh, progress, read, run, store
+from tactile_toolkit import cache, mesh, read, run, store
 from tactile_toolkit.errors import BusyError, IntegrityError
 from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int32, Int64
 
@@ -241,7 +241,7 @@ def _chunks_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float) -> list
     if len(firsts) > _FEW_CHUNKS:
         workers = run.free_workers()
     chunks: dict[int, Parts] = {}
-    with progress.shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
+    with run.shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
         for first, parts in run.runner_for(workers).run(partial(_packed_chunk, records, tilt_rad), firsts):
             chunks[first] = parts
             update(min(len(chunks) * _CHUNK, len(records)), len(records))

@@ -20,7 +20,7 @@ from env_assets import MeshView, mesh_view
 from env_assets.provider import KINDS, meshes_at
 from tactile_envs import env_specs, mesh_pool, object_sets
 from tactile_envs.config import RecordedConfig
-from tactile_toolkit import cache, kind, progress, store
+from tactile_toolkit import cache, kind, run, store
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, ToolkitError
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tactile_toolkit.value_types import Float32, Float64, Int64
@@ -297,7 +297,7 @@ def _estimates_m(
     missing = [(name, number) for name, number in zip(names, numbers, strict=True) if name not in estimates_m]
     if missing:
         estimator = _estimator()
-    with progress.shown_progress(
+    with run.shown_progress(
         "estimating the depth of real touches without contact", "touches", _QUIET_S
     ) as show:
         for first in range(0, len(missing), _BATCH):

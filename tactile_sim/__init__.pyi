@@ -16,7 +16,7 @@ from .sets.generation import (
     TouchGenerator as TouchGenerator,
 )
 from .optics.rendering import make_optics as make_optics
-from .sets.pair_generation import PairGenerator as PairGenerator, make_pairs as make_pairs
+from .sets.pairs import PairGenerator as PairGenerator, make_pairs as make_pairs
 from .sets.learning_specs import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig, TrainRun as TrainRun
 from .press.pressing import (
     pose as pose,

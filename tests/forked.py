@@ -36,7 +36,7 @@ _CONTEXT.set_forkserver_preload(
         *("starstruck_gen.scene_dataset", "tactile_toolkit.gallery.site"),
         *("tactile_toolkit.mesh.files", "tactile_toolkit.mesh.raster"),
         *("tactile_toolkit.mesh.crossings", "tactile_toolkit.mesh.walls"),
-        *("tactile_toolkit.printing.file_export", "tactile_toolkit.run.processes"),
+        *("tactile_toolkit.printing.file_export", "tactile_toolkit.run.runners"),
         *("tactile_toolkit.store.building", "trimesh"),
     ]
 )

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit.gallery import Gallery, GalleryItem
-from tactile_toolkit.gallery.items import packed_mesh
+from tactile_toolkit.gallery.site import packed_mesh
 from tactile_toolkit.rows import Column
 
 _OWN = "document.title='owned'"

@@ -123,7 +123,7 @@ def test_only_one_module_depends_on_the_system() -> None:
         for name in _imports(path)
         if name in (*POSIX_MODULES, "signal", "msvcrt", "winreg")
     }
-    assert found == {("tactile_toolkit/run/processes.py", "signal")}
+    assert found == {("tactile_toolkit/run/runners.py", "signal")}
 
 
 def _imports(path: Path) -> set[str]:
@@ -195,10 +195,10 @@ def test_files_are_opened_for_writing_to_be_flushed(tmp_path: Path, monkeypatch:
 
 
 def test_no_more_workers_than_windows_can_wait_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactile_toolkit.run import processes
+    from tactile_toolkit.run import runners
 
-    monkeypatch.setattr(processes.sys, "platform", "win32")
-    assert processes._most_workers(100) == 61
-    assert processes._most_workers(4) == 4
-    monkeypatch.setattr(processes.sys, "platform", "linux")
-    assert processes._most_workers(100) == 100
+    monkeypatch.setattr(runners.sys, "platform", "win32")
+    assert runners._most_workers(100) == 61
+    assert runners._most_workers(4) == 4
+    monkeypatch.setattr(runners.sys, "platform", "linux")
+    assert runners._most_workers(100) == 100

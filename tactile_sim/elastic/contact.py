@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.checked_arrays import real_array, shown
+from tactile_sim.user_values import real_array, shown
 from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Bool, Float64

@@ -11,8 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from tactile_sim.learned.inference import depth_channels, noisy_channels, picture_channels
-from tactile_sim.learned.networks import GeneratorNetwork, discriminator, initialise
+from tactile_sim.learned.generators import (
+    GeneratorNetwork,
+    depth_channels,
+    discriminator,
+    initialise,
+    noisy_channels,
+    picture_channels,
+)
 from tactile_sim.optics.rendering import make_optics
 from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_sim.sets.pairs import Pairs

@@ -28,14 +28,15 @@ import torch
 
 from tactile_sim.learned import cyclegan
 from tactile_sim.learned.cyclegan import Batches, by_taxim
-from tactile_sim.learned.inference import (
+from tactile_sim.learned.generators import (
     chosen_device,
     depth_channels,
     picture_channels,
     pictures_from,
     shades_of,
+    weights_of,
+    write_weights,
 )
-from tactile_sim.learned.networks import weights_of, write_weights
 from tactile_sim.sets.data_cards import sheet_png
 from tactile_sim.sets.learning_specs import TrainConfig, TrainRun
 from tactile_sim.sets.pairs import SPLITS, Pairs

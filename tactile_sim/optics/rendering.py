@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_sim.checked_arrays import is_real_array, shown
 from tactile_sim.press.sensors import OPTICS, Sensor, checked_size_px
+from tactile_sim.user_values import is_real_array, shown
 from tactile_toolkit import touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
@@ -147,7 +147,7 @@ def make_optics(
         raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
     if name == "cyclegan":
         # Imported by name, because it needs the extra `torch`.
-        made = lazy("tactile_sim.learned.inference:CycleganOptics")
+        made = lazy("tactile_sim.learned.generators:CycleganOptics")
         cyclegan: Optics = made(weights, device=device, bfloat16=bfloat16)
         return cyclegan
     if weights is not None:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
-from tactile_sim.value_files import read_values
+from tactile_sim.user_values import read_values
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int64, UInt8

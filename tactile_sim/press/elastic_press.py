@@ -9,11 +9,10 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.checked_arrays import finite_array, real_array, shown
 from tactile_sim.elastic.contact import ElasticContact, Gel, GelLoad, require_solved, solve_unjudged
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD, checked_markers
 from tactile_sim.press.sensors import Sensor, checked_size_px, full_view
-from tactile_sim.value_files import read_values
+from tactile_sim.user_values import finite_array, read_values, real_array, shown
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 from tactile_toolkit.value_types import AnyArray, Bool, Float64, UInt8

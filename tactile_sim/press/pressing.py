@@ -10,11 +10,11 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.checked_arrays import finite_array, real_array, shown
 from tactile_sim.elastic.contact import ElasticContact, GelLoad
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
+from tactile_sim.user_values import finite_array, real_array, shown
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike

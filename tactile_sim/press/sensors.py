@@ -35,7 +35,7 @@ GEL_M = 0.00425
 
 _LONGEST_TEXT = 500
 _GEL_OF_MINI = "no thickness of its gel was found, that of the GelSight Mini is taken"
-_read_values = lazy("tactile_sim.value_files:read_values")
+_read_values = lazy("tactile_sim.user_values:read_values")
 _read_sensor = lazy("tactile_sim.twin.twin_files:read_sensor")
 _write_sensor = lazy("tactile_sim.twin.twin_files:write_sensor")
 _read_depth = lazy("tactile_sim.twin.reader:read_depth")
@@ -97,7 +97,7 @@ class Sensor:
         """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
         import numpy as np  # commands import this module for their options
 
-        from tactile_sim.checked_arrays import is_real_array, shown
+        from tactile_sim.user_values import is_real_array, shown
 
         if not is_real_array(depth_m):
             raise InputError(f"depth_m is {shown(depth_m)}; expected an array of numbers, metres")

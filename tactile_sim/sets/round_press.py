@@ -11,7 +11,6 @@ import pyarrow as pa
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from tactile_sim.checked_arrays import finite_array
 from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_sim.optics.sensor_noise import add_noise
@@ -22,6 +21,7 @@ from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Pressed, pose, render_touch
 from tactile_sim.sets.round_plan import keyed_rng, on_object
 from tactile_sim.sets.touch_spec import TouchSetSpec
+from tactile_sim.user_values import finite_array
 from tactile_toolkit import arithmetic, read, store, touch
 from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.value_types import AnyArray, Float32, Float64, JsonDict, UInt8

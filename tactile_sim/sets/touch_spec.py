@@ -52,7 +52,7 @@ _checked_layer_m = lazy("tactile_sim.press.pressable:checked_layer_m")
 _checked_noise = lazy("tactile_sim.optics.sensor_noise:checked_noise")
 _calibrated_noise = lazy("tactile_sim.optics.sensor_noise:SensorNoise.calibrated")
 _named_noise = lazy("tactile_sim.optics.sensor_noise:SensorNoise.named")
-_weights_facts = lazy("tactile_sim.learned.networks:weights_facts")
+_weights_facts = lazy("tactile_sim.learned.generators:weights_facts")
 
 
 def default_optics() -> str:

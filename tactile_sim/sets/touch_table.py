@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.checked_arrays import real_array
+from tactile_sim.user_values import real_array
 from tactile_toolkit import store, touch
 from tactile_toolkit.columns import column_types, tables, units
 from tactile_toolkit.errors import InputError, IntegrityError

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tactile_sim.checked_arrays import real_array, shown
 from tactile_sim.optics.rendering import require_images
 from tactile_sim.press.press_kernels import rasterise
 from tactile_sim.press.pressable import Pressable
+from tactile_sim.user_values import real_array, shown
 from tactile_toolkit import checked_fields
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike

@@ -13,11 +13,11 @@ from os import PathLike, fspath
 import numpy as np
 from scipy import ndimage
 
-from tactile_sim.checked_arrays import shown
 from tactile_sim.kind import KIND
 from tactile_sim.optics.rendering import in_size_of
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin.sources import image_paths, read_image, spaced
+from tactile_sim.user_values import shown
 from tactile_toolkit import places, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Bool, Float32, Float64, JsonDict, UInt8

@@ -10,11 +10,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from tactile_sim.checked_arrays import finite_array
 from tactile_sim.optics.rendering import Optics
 from tactile_sim.press.sensors import Sensor
 from tactile_sim.twin import gel, surface_kernels
-from tactile_sim.value_files import npz_bytes
+from tactile_sim.user_values import finite_array, npz_bytes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, Float32, Float64, Floating, UInt8
 

@@ -12,7 +12,7 @@ import numpy as np
 from tactile_sim.twin import gel, gel_kernels
 from tactile_sim.twin.reader import reader_shapes
 from tactile_sim.twin.twin import Twin
-from tactile_sim.value_files import npz_bytes, read_npz
+from tactile_sim.user_values import npz_bytes, read_npz
 from tactile_toolkit import __version__, store
 from tactile_toolkit.errors import InputError
 

@@ -1,6 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .items import (
+from .site import (
     Gallery as Gallery,
     GalleryItem as GalleryItem,
 )

@@ -1,6 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .processes import (
+from .runners import (
     free_workers as free_workers,
     Runner as Runner,
     runner_for as runner_for,
@@ -9,9 +9,10 @@ from .this_process import (
     in_threads as in_threads,
     Part as Part,
     prepare_batch_process as prepare_batch_process,
+    shown_progress as shown_progress,
     skip_pandas as skip_pandas,
     usable_cores as usable_cores,
 )
-from .ray import (
+from .runners import (
     RayRunner as RayRunner,
 )

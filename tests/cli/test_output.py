@@ -96,7 +96,7 @@ def test_truths_are_words_in_a_table(capsys):
 def test_a_terminal_shows_a_bar_that_fits_it(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr("tactile_toolkit.progress._BAR_INTERVAL_S", 0.0)
+    monkeypatch.setattr("tactile_toolkit.run.this_process._BAR_INTERVAL_S", 0.0)
     with Sink().progress("drawing", "digits") as update:
         for done in (0, 1, 4):
             update(done, 4)
@@ -130,7 +130,7 @@ def test_rates_are_numbers_that_can_be_read(done, elapsed_s, unit, text):
 
 
 def test_sizes_are_sizes_while_they_are_fetched(capsys, monkeypatch):
-    monkeypatch.setattr("tactile_toolkit.progress._LINE_INTERVAL_S", 0.0)
+    monkeypatch.setattr("tactile_toolkit.run.this_process._LINE_INTERVAL_S", 0.0)
     with Sink().progress("fetching", BYTES) as update:
         update(12_300_000, 45_600_000)
     assert capsys.readouterr().err.startswith("fetching: 12.3 MB of 45.6 MB, ")

@@ -16,11 +16,10 @@ from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.conversion import Conversion, RowChoice, plan_conversion
-from realtouch.convert.selection import KeepTouches
+from realtouch.convert.conversion import Conversion, KeepTouches, RowChoice, plan_conversion
 from realtouch.touches.loading import Source
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store import sha256_hex
 from tactile_toolkit.touch import decode_image, resized
 from tests.command_line import call

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tactile_envs.object_sets import start_background
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tests.processes import PATIENCE_S, alive, wait_until_gone
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -16,8 +16,13 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra oracle")
 
 from tactile_sim.learned import DepthEstimator, networks as files  # noqa: E402
-from tactile_sim.learned.inference import CycleganOptics  # noqa: E402
-from tactile_sim.learned.networks import GeneratorNetwork, generator_of, initialise, weights_of  # noqa: E402  # noqa: E402
+from tactile_sim.learned.generators import (  # noqa: E402  # noqa: E402
+    CycleganOptics,
+    GeneratorNetwork,
+    generator_of,
+    initialise,
+    weights_of,
+)
 from tactile_sim.optics.rendering import make_optics  # noqa: E402
 from tactile_sim.sets.round_press import optics_of  # noqa: E402
 from tactile_toolkit.errors import InputError, ToolkitError  # noqa: E402

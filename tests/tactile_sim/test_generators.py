@@ -15,8 +15,13 @@ pytestmark = [pytest.mark.torch]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned import DepthEstimator  # noqa: E402
-from tactile_sim.learned.inference import make_generator  # noqa: E402
-from tactile_sim.learned.networks import GeneratorNetwork, initialise, weights_of, write_weights  # noqa: E402  # noqa: E402
+from tactile_sim.learned.generators import (  # noqa: E402  # noqa: E402
+    GeneratorNetwork,
+    initialise,
+    make_generator,
+    weights_of,
+    write_weights,
+)
 from tactile_sim.optics.rendering import make_optics  # noqa: E402
 
 

@@ -22,8 +22,7 @@ import tactile_sim
 import tactile_sim.optics.taxim
 from tactile_sim.optics.sensor_noise import add_noise
 from tactile_sim.sets.learning_specs import PairSetSpec
-from tactile_sim.sets.pair_generation import make_pairs
-from tactile_sim.sets.pairs import Pairs
+from tactile_sim.sets.pairs import Pairs, make_pairs
 from tactile_toolkit.errors import (
     BusyError,
     InputError,
@@ -41,17 +40,15 @@ pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned.cyclegan import Batch, CycleGan  # noqa: E402
-from tactile_sim.learned.inference import (  # noqa: E402
+from tactile_sim.learned.generators import (  # noqa: E402
+    GeneratorNetwork,
     generated,
+    initialise,
     make_generator,
     noisy_channels,
     picture_channels,
-    shades_of,
-)
-from tactile_sim.learned.networks import (  # noqa: E402
-    GeneratorNetwork,
-    initialise,
     read_weights,
+    shades_of,
 )
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.sets.learning_specs import TrainConfig, TrainRun  # noqa: E402
@@ -109,7 +106,7 @@ def test_pairs_satisfy_their_specification_with_any_number_of_workers(sources, p
     assert (empty == 1).all()
     met = data.depth.images(np.flatnonzero(data.depth.contact))
     assert (met.min(axis=(1, 2)) == 0).all()
-    monkeypatch.setattr("tactile_sim.sets.pair_generation._ROWS_PER_SHARD", 25)
+    monkeypatch.setattr("tactile_sim.sets.pairs._ROWS_PER_SHARD", 25)
     make_pairs(*sources, "train", SPEC, tmp_path / "again", workers=2)
     sheets = {
         path.read_bytes() for folder in (pairs, tmp_path / "again") for path in Path(folder).rglob("*.png")
@@ -288,7 +285,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
 def test_a_generator_takes_images_a_few_at_a_time(pairs, trained, monkeypatch):
     network = make_generator(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
-    monkeypatch.setattr("tactile_sim.learned.inference._TOGETHER", 3)
+    monkeypatch.setattr("tactile_sim.learned.generators._TOGETHER", 3)
     alone = np.concatenate([generated(network, picture_channels, each[None]) for each in pictures])
     np.testing.assert_allclose(generated(network, picture_channels, pictures), alone, atol=1e-5)
 

@@ -13,7 +13,7 @@ import pytest
 import starstruck_gen
 import tactile_sim
 from tactile_sim.sets.learning_specs import PairSetSpec
-from tactile_sim.sets.pair_generation import make_pairs
+from tactile_sim.sets.pairs import make_pairs
 from tests.command_line import call
 
 pytestmark = pytest.mark.sim
@@ -85,7 +85,7 @@ def test_equal_pairs_have_equal_manifests_that_name_no_place(scenes, touches, tm
 
 def test_an_object_in_two_shards_is_left_out_once(with_an_open_mesh, touches, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 1)
-    monkeypatch.setattr("tactile_sim.sets.pair_generation._ROWS_PER_SHARD", 3)
+    monkeypatch.setattr("tactile_sim.sets.pairs._ROWS_PER_SHARD", 3)
     tactile_sim.generate(with_an_open_mesh, SPEC, tmp_path / "touches")
     make_pairs(
         str(with_an_open_mesh), str(touches), "train", PairSetSpec((32, 24), 12, 0.0), tmp_path / "pairs"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactile_toolkit.progress import shown_progress
+from tactile_toolkit.run.this_process import shown_progress
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ from tactile_toolkit.progress import shown_progress
 )
 def test_lines_come_every_few_seconds_and_at_the_end(quiet_s, expected, capsys, monkeypatch):
     now_s = [0.0]
-    monkeypatch.setattr("tactile_toolkit.progress.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("tactile_toolkit.run.this_process.time.monotonic", lambda: now_s[0])
     with shown_progress("making", "digits", quiet_s) as update:
         for done, at_s in ((0, 0), (1, 3), (2, 6), (3, 8), (4, 10), (5, 12), (9, 13)):
             now_s[0] = at_s

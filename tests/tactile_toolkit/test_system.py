@@ -12,7 +12,7 @@ import pytest
 from cli.options import process_count
 from tactile_toolkit import cache
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.run.this_process import usable_cores
 from tactile_toolkit.store import open_folder
 

@@ -11,7 +11,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
 from tactile_toolkit.gallery import Gallery, build_site, site as site_module
 from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, PAGE_FILE, THREE, asset
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery
@@ -198,7 +198,7 @@ def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, err
 KILLED = """
 import sys
 from tactile_toolkit.gallery.site import build_site
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.runners import InlineRunner
 from tests.gallery_toy import ToyTask, toy_gallery
 from dataclasses import replace
 from pathlib import Path
@@ -229,7 +229,7 @@ FULL = """
 import resource, sys
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.gallery.site import build_site
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.runners import InlineRunner
 from tests.gallery_toy import toy_gallery
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 try:

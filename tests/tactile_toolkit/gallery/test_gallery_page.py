@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tactile_toolkit.gallery import build_site
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.runners import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
 from tests.gallery_files import files_of
 from tests.gallery_toy import HOSTILE, toy_gallery

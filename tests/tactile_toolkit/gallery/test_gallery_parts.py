@@ -16,8 +16,14 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.gallery import Gallery, GalleryItem
-from tactile_toolkit.gallery.items import STEP_MM, THUMBNAIL_PX, _solid_item, packed_mesh
-from tactile_toolkit.gallery.site import index_of, script_json
+from tactile_toolkit.gallery.site import (
+    STEP_MM,
+    THUMBNAIL_PX,
+    _solid_item,
+    index_of,
+    packed_mesh,
+    script_json,
+)
 from tactile_toolkit.pictures.solid_views import relief
 from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import natural_key

@@ -30,7 +30,7 @@ from tactile_toolkit.errors import (
     ToolkitError,
 )
 from tactile_toolkit.run import RayRunner, skip_pandas
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tests.forked import run_forked
 from tests.processes import PATIENCE_S, alive
 
@@ -39,7 +39,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 UNGUARDED = """
 print("started")
 import math
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 print(sorted(ProcessRunner(2).run(math.sqrt, [1.0, 4.0, 9.0])))
 """
 
@@ -60,7 +60,7 @@ def test_a_worker_of_another_program_starts_no_workers() -> None:
     code = """
         import math, multiprocessing as mp
         from tactile_toolkit.errors import InputError
-        from tactile_toolkit.run.processes import ProcessRunner
+        from tactile_toolkit.run.runners import ProcessRunner
         mp.current_process()._config['daemon'] = True
         try: list(ProcessRunner(2).run(math.sqrt, [1.0]))
         except InputError as error: print(error)

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.mesh import Mesh, inspect, write_mesh
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 

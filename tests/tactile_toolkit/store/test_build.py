@@ -18,7 +18,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.run import Part
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest, verify
 from tests.forked import run_forked
 from tests.processes import children, wait_until_gone
@@ -231,7 +231,7 @@ def test_another_source_gives_a_short_message(tmp_path):
 def test_workers_leave_with_a_killed_parent(tmp_path):
     code = """
         import sys
-        from tactile_toolkit.run.processes import ProcessRunner
+        from tactile_toolkit.run.runners import ProcessRunner
         from tests.tactile_toolkit.toy import make, toy_plan
         make(sys.argv[1], toy_plan(pause_s=2.0), workers=ProcessRunner(2))
         """

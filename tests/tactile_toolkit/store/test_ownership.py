@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tactile_toolkit.store import open_folder, verify
 from tactile_toolkit.store.folder import LocalFolder
 from tests.command_line import call

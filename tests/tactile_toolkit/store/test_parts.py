@@ -9,7 +9,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run import Part
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest, verify
 from tactile_toolkit.store.folder import LocalFolder
 from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far

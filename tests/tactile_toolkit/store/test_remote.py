@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest, remote, verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -340,7 +340,7 @@ def test_a_store_that_never_replies_is_named(s3, monkeypatch):
 
 _KILLED = """
 import os, signal, sys
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store.building import build
 from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.toy import toy_plan

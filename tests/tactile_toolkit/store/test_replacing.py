@@ -13,7 +13,7 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.run import Part
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest
 from tactile_toolkit.store.folder import LocalFolder
 from tests.tactile_toolkit.toy import folder_bytes, make, toy_plan
