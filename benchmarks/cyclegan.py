@@ -41,8 +41,8 @@ from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
 from tactile_sim.optics.rendering import scaled
 from tactile_sim.optics.sensor_noise import SensorNoise
 from tactile_sim.optics.taxim import TaximOptics
-from tactile_sim.sets.learning_specs import TrainConfig, TrainRun
 from tactile_sim.sets.pairs import Pairs
+from tactile_sim.sets.set_options import TrainConfig, TrainRun
 from tactile_toolkit.store import open_folder
 
 SIZE = (64, 64)

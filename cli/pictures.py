@@ -9,7 +9,6 @@ from typing import Annotated
 
 from cli import options, output
 from tactile_toolkit import catalog, gallery as galleries, mesh, pictures, wording
-from tactile_toolkit.catalog.row_options import ROWS
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds, lazy
@@ -32,10 +31,10 @@ class PreviewOptions(catalog.RowFilter):
     )
     # A single picture shows the first row, or those that --ids names.
     per_class: int | None = integer(
-        None, 1, optional=True, needs=_SHEETS, panel=ROWS, help="Only the first N of each class."
+        None, 1, optional=True, needs=_SHEETS, panel=catalog.ROWS, help="Only the first N of each class."
     )
     limit: int | None = integer(
-        None, 1, optional=True, needs=_SHEETS, panel=ROWS, help="Only the first N rows of each split."
+        None, 1, optional=True, needs=_SHEETS, panel=catalog.ROWS, help="Only the first N rows of each split."
     )
     round_number: int = integer(
         0, name="--round", panel="Touches", help="Round of touches to draw, counted from 0."

@@ -22,7 +22,7 @@ from realtouch.kind import KIND
 from tactile_sim import ElasticPress, PairSetSpec, TouchPlan, TouchSetSpec, TrainConfig, TrainRun
 from tactile_sim.press import sensors
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
-from tactile_sim.sets.touch_spec import default_optics
+from tactile_sim.sets.set_options import default_optics
 from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError

@@ -20,7 +20,7 @@ from PIL import Image
 import tactile_sim
 from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
-from realtouch.force_pictures import flow_picture, pressure_picture
+from realtouch.touch_previews import flow_picture, pressure_picture
 from tactile_sim.optics.rendering import make_optics
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.touch import resized

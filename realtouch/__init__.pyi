@@ -45,7 +45,7 @@ from .touches.rounds import (
     TouchSeqRound as TouchSeqRound,
     TouchSingleRound as TouchSingleRound,
 )
-from .touches.summary import (
+from .touches.loading import (
     Summary as Summary,
     paper_numbers as paper_numbers,
     summarise as summarise,

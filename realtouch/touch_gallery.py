@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import pyarrow as pa
 
-from realtouch import force_pictures, kind
+from realtouch import kind, touch_previews
 from realtouch.touches import datasets, media, rounds
 from realtouch.touches.rounds import Touch
 from realtouch.touches.schema import origin_of
@@ -91,7 +91,7 @@ def _item(
     """Show a round."""
     most, heights_m, contact = known
     touches = [Touch(record, number) for number in media.evenly_spaced(record.touch_count, most)]
-    views = [force_pictures.force_views(touch) for touch in touches]
+    views = [touch_previews.force_views(touch) for touch in touches]
     stills, columns, tile_px = sheet_of([np.hstack(of_touch) for of_touch in views], views=len(views[0]))
     images = {"stills.jpg": stills}
     listed = []

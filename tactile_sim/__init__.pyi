@@ -17,7 +17,7 @@ from .sets.generation import (
 )
 from .optics.rendering import make_optics as make_optics
 from .sets.pairs import PairGenerator as PairGenerator, make_pairs as make_pairs
-from .sets.learning_specs import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig, TrainRun as TrainRun
+from .sets.set_options import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig, TrainRun as TrainRun
 from .press.pressing import (
     pose as pose,
     Pressed as Pressed,
@@ -40,7 +40,7 @@ from .twin.sensor_health import (
 )
 from .optics.sensor_noise import SensorNoise as SensorNoise
 from .sets.round_press import TouchPreview as TouchPreview, preview_touch as preview_touch
-from .sets.touch_spec import (
+from .sets.set_options import (
     TouchSetSpec as TouchSetSpec,
     TouchPlan as TouchPlan,
 )

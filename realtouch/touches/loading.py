@@ -1,19 +1,25 @@
-"""Data sets of touches by name: one split to read, or the files of all splits."""
+"""Data sets of touches by name: one split to read, the files of all splits, and figures of a split.
+
+Figures are also compared with those of the Tactile MNIST paper.
+"""
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from itertools import chain
+from itertools import accumulate, chain, pairwise
+from operator import itemgetter
 from typing import Literal, overload
 
+import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, kind
 from realtouch.touches import damage, datasets, schema
-from tactile_toolkit import catalog, errors, places, read, run, store
+from tactile_toolkit import catalog, errors, places, read, run, store, wording
+from tactile_toolkit.touch import CELL_M
 
 _NAMES_SHOWN = 12
 _READERS = 4  # threads that read footers
@@ -25,6 +31,12 @@ SHORT_NAMES = {
     for name in (entry.name, *entry.aliases)
 }
 """Short name to the name of the published repository, without its owner."""
+# Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
+_ROUNDS = {"train": 500, "test": 100}
+_CLASSES = {"train": "10 of 50 rounds", "test": "10 of 10 rounds"}
+_TOUCHES_OF_A_GEL = 76_800
+_PICTURES = "320 x 240 or 64 x 64 pixels"
+_SIZES = ((320, 240), (64, 64))
 
 
 @overload
@@ -232,3 +244,258 @@ def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
     chosen = [chunk for chunk in shard.column_chunks() if chunk.path_in_schema.startswith(column)]
     values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
     return values, sum(chunk.total_uncompressed_size for chunk in chosen)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """Figures of one split.
+
+    Attributes
+    ----------
+    kind : str
+        ``"seq"`` or ``"single"``.
+    rounds, touches, objects : int
+        How many; 0 objects if they are unknown.
+    touches_per_round : tuple of int
+        Least and most.
+    contact_share : float or None
+        Fraction of touches with contact; None if their pictures decide, as all would have to be decoded.
+    contact_rule : str
+        By what a touch counts as contact: a height above the plate, a column, or its picture.
+    labels : dict of str to int
+        Rounds of each class.
+    image_size : tuple of int
+        Width and height of the first image or frame, pixels.
+    clip_frames : tuple of int, or None
+        Minimum, median and maximum number of frames of a clip; None for images.
+    fps : float or None
+        Frames per second of the first clip.
+    gel_ids : dict of str to int
+        Rounds of each gel; empty if it is unknown.
+    extra : dict of str to str
+        Type of each further column.
+    """
+
+    kind: str
+    rounds: int
+    touches: int
+    objects: int = 0
+    touches_per_round: tuple[int, int]
+    contact_share: float | None = None
+    contact_rule: str | None = None
+    labels: dict[str, int] = field(default_factory=dict)
+    image_size: tuple[int, int]
+    clip_frames: tuple[int, int, int] | None = None
+    fps: float | None = None
+    gel_ids: dict[str, int] = field(default_factory=dict)
+    extra: dict[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return asdict(self)
+
+    def table(self) -> list[tuple[str, str]]:
+        """Return names and values for people."""
+        width, height = self.image_size
+        contact = f"not counted ({self.contact_rule})"
+        if self.contact_share is not None:
+            contact = f"{self.contact_share:.1%} ({self.contact_rule})"
+        gels = ", ".join(f"{gel}: {wording.with_count(n, 'rounds')}" for gel, n in self.gel_ids.items())
+        per_round = "-".join(map(str, dict.fromkeys(self.touches_per_round)))
+        rows = [
+            ("rounds", f"{self.rounds:,}"),
+            ("touches", f"{self.touches:,} ({per_round} per round)"),
+            ("objects", f"{self.objects:,}" if self.objects else "unknown"),
+            ("with contact", contact),
+            ("labels", ", ".join(f"{name}: {count}" for name, count in self.labels.items()) or "none"),
+            ("picture", f"{width} x {height} pixels"),
+            ("gels", gels or "unknown"),
+            *((f"extra {name}", type_text) for name, type_text in self.extra.items()),
+        ]
+        if self.clip_frames is not None:
+            least, median, most = self.clip_frames
+            rows.append(("clips", f"{least} to {most} frames, median {median}, {self.fps:g} per second"))
+        return rows
+
+
+def summarise(dataset: datasets.AnyDataset) -> Summary:
+    """Count what a data set holds; reads small columns and one image or clip.
+
+    Parameters
+    ----------
+    dataset : TouchDataset
+        One split, or a part of it.
+
+    Returns
+    -------
+    Summary
+
+    Raises
+    ------
+    InputError
+        The data set is empty.
+    IntegrityError
+        What is read is damaged.
+    """
+    touches = dataset.touches()
+    if not len(touches):
+        raise errors.InputError("an empty data set has no summary", next="choose other filters")
+    counts = np.bincount(touches.round_positions, minlength=len(dataset))
+    first = touches[0]
+    summary = Summary(
+        kind=dataset.kind,
+        rounds=len(dataset),
+        touches=int(counts.sum()),
+        touches_per_round=(int(counts.min()), int(counts.max())),
+        contact_rule="; or ".join(map(str, dict.fromkeys(dataset.contact_sources()))),
+        extra=_extra_types(dataset),
+        image_size=first.round.picture_size(first.touch_index),
+    )
+    if dataset.kind == "seq":
+        summary = replace(summary, clip_frames=_clip_frames(touches), fps=first.clip.fps)
+    if dataset.has_column("label"):
+        summary = replace(summary, labels={name: len(rows) for name, rows in dataset.by_label().items()})
+    if dataset.has_column("object_id"):
+        summary = replace(summary, objects=len(np.unique(dataset.int_column("object_id"))))
+    if all(source.is_stored for source in dataset.contact_sources()):
+        summary = replace(summary, contact_share=float(touches.in_contact().mean()))
+    if dataset.has_column("info.gel_id"):
+        # Through all rounds, without their pictures: the gel is not a plain column.
+        gels = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
+        summary = replace(summary, gel_ids=dict(sorted(gels.items())))
+    return summary
+
+
+def summarise_splits(name: places.Name | places.Place, split: str | None = None) -> dict[str, Summary]:
+    """Return the figures of the named split, or of all splits; raises as :func:`summarise`."""
+    source = Source.open(name, split)
+    return {part: summarise(datasets.dataset_of(shards)) for part, shards in source.shards.items()}
+
+
+def _extra_types(dataset: datasets.AnyDataset) -> dict[str, str]:
+    types = read.column_types(dataset.table.schemas[0])
+    columns = schema.extra_columns(dataset.column_names)
+    return {name: schema.extra_type_text(stored, types[stored]) for name, stored in columns.items()}
+
+
+def _clip_frames(touches: datasets.AnyTouches) -> tuple[int, int, int]:
+    """Return the least, the median and the largest number of frames of a clip."""
+    dataset = touches.dataset
+    rows = dataset.row_numbers[touches.round_positions].tolist()
+    shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
+    lengths = [
+        record.row.clip_length(touch)
+        for row, record in dataset.rounds_without_media()
+        for touch in range(record.touch_count)
+        if (row, touch) in shown
+    ]
+    return min(lengths), int(np.median(lengths)), max(lengths)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperNumber:
+    """One statement of the paper, and the value in the data.
+
+    Attributes
+    ----------
+    what : str
+        Name of the quantity.
+    paper, found : str
+        As the paper states it, and as it is in the data.
+    agrees : bool
+        Whether they are the same.
+    """
+
+    what: str
+    paper: str
+    found: str
+    agrees: bool
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def paper_numbers(splits: Mapping[str, datasets.AnyDataset]) -> list[PaperNumber]:
+    """Measure what the paper states about real touches; reads one picture only.
+
+    Parameters
+    ----------
+    splits : mapping of str to TouchDataset
+        The splits of one set.
+
+    Returns
+    -------
+    list of PaperNumber
+        In the order of the paper.
+
+    Raises
+    ------
+    InputError
+        The set is empty, or has no labels, objects or positions.
+    IntegrityError
+        What is read is damaged.
+    """
+    rounds = _rounds_in_order(splits)
+    _, counts, gels, reaches_m = zip(*rounds, strict=True)
+    objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
+    different = len(set().union(*objects))
+    labels: dict[str, list[int]] = {split: [] for split in _ROUNDS}
+    labels |= {split: data.labels.tolist() for split, data in splits.items()}
+    size = next(data[0] for data in splits.values() if len(data)).picture_size(0)
+    replaced, ends = _gel_replacements(gels, counts)
+    reach = f"at most {1e3 * max(reaches_m):.1f} mm from the middle"
+    counted = [
+        ("rounds", "600", f"{len(rounds):,}"),
+        ("touches", "153,600", f"{sum(counts):,}"),
+        ("touches of a round", "256", ", ".join(map(str, sorted(set(counts))))),
+        *((f"rounds in {split}", f"{count}", f"{len(labels[split]):,}") for split, count in _ROUNDS.items()),
+        *((f"classes in {split}", _CLASSES[split], _class_text(labels[split])) for split in _ROUNDS),
+        ("objects", "600", f"{different:,}"),
+        ("objects in two splits", "none", "some" if sum(map(len, objects)) > different else "none"),
+    ]
+    once = f"{_TOUCHES_OF_A_GEL:,} touches, once"
+    return [
+        *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
+        PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
+        PaperNumber("gel replaced after", once, replaced, ends == [_TOUCHES_OF_A_GEL]),
+        PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
+    ]
+
+
+def _rounds_in_order(
+    splits: Mapping[str, datasets.AnyDataset],
+) -> list[tuple[str, int, object, float]]:
+    """Return id, touches, gel and greatest distance from the middle, metres, of each round.
+
+    Ids begin with the time of recording, so that their order is that of the gels. InputError without rounds.
+    """
+    rounds = [
+        (
+            str(record.id),
+            record.touch_count,
+            dict(record.info).get("gel_id"),
+            float(np.abs(record.pos_in_cell_m).max(initial=0.0)),
+        )
+        for data in splits.values()
+        for _, record in data.rounds_without_media()
+    ]
+    if not rounds:
+        raise errors.InputError(
+            "the set holds no rounds", next="name one that does, such as real-single-64x64"
+        )
+    return sorted(rounds, key=itemgetter(0))
+
+
+def _class_text(labels: Sequence[int]) -> str:
+    counts = Counter(labels)
+    return f"{len(counts)} of {' or '.join(map(str, sorted(set(counts.values())))) or 'no'} rounds"
+
+
+def _gel_replacements(gels: Sequence[object], counts: Sequence[int]) -> tuple[str, list[int]]:
+    """Return after how many touches the gel was replaced; rounds are in the order of recording."""
+    if any(gel is None for gel in gels):
+        return "not stated", []
+    done = accumulate(counts)
+    ends = [end for end, (before, after) in zip(done, pairwise(gels), strict=False) if before != after]
+    return f"{' and '.join(f'{end:,}' for end in ends) or 'never'} of {sum(counts):,}", ends

@@ -20,9 +20,9 @@ from tactile_sim.learned.generators import (
     picture_channels,
 )
 from tactile_sim.optics.rendering import make_optics
-from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_sim.sets.pairs import Pairs
 from tactile_sim.sets.round_plan import keyed_rng
+from tactile_sim.sets.set_options import TrainConfig
 from tactile_toolkit.value_types import Float32, JsonDict, UInt8
 
 LOSSES = tuple(

@@ -38,9 +38,9 @@ from tactile_sim.learned.generators import (
     write_weights,
 )
 from tactile_sim.sets.data_cards import sheet_png
-from tactile_sim.sets.learning_specs import TrainConfig, TrainRun
 from tactile_sim.sets.pairs import SPLITS, Pairs
 from tactile_sim.sets.round_plan import keyed_rng
+from tactile_sim.sets.set_options import TrainConfig, TrainRun
 from tactile_toolkit import errors, store
 from tactile_toolkit.value_types import Float32, JsonDict, UInt8
 from tactile_toolkit.wording import with_count

@@ -13,7 +13,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel, sensor_of_model
 from tactile_sim.sets.generation import SyntheticRound
 from tactile_sim.sets.pairs import PairRow, decode_depth
-from tactile_sim.sets.touch_spec import WINDOWS
+from tactile_sim.sets.set_options import WINDOWS
 from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.kind import Facts
 from tactile_toolkit.pictures import Tile, png_bytes, sheet

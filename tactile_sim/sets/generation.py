@@ -17,7 +17,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.sets import round_press, touched_solids
 from tactile_sim.sets.round_plan import plan_round
-from tactile_sim.sets.touch_spec import TouchSetSpec
+from tactile_sim.sets.set_options import TouchSetSpec
 from tactile_toolkit import catalog, generation, places, read, rows, store, touch
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.value_types import Float32, Float64, Int64, JsonObject

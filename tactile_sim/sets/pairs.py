@@ -23,8 +23,7 @@ from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import render_touch
 from tactile_sim.press.sensors import Sensor, sensor_of_window
 from tactile_sim.sets import round_plan, touched_solids
-from tactile_sim.sets.learning_specs import PairSetSpec
-from tactile_sim.sets.touch_spec import WINDOWS, TouchPlan
+from tactile_sim.sets.set_options import WINDOWS, PairSetSpec, TouchPlan
 from tactile_toolkit import generation, places, read, store, touch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.rows import TypedRow, column

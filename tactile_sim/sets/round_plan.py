@@ -10,7 +10,7 @@ import numpy as np
 
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import pose, pose_product, turn_quaternion
-from tactile_sim.sets.touch_spec import TouchPlan
+from tactile_sim.sets.set_options import TouchPlan
 from tactile_toolkit import arithmetic, touch
 from tactile_toolkit.value_types import Float64
 

@@ -20,7 +20,7 @@ from tactile_sim.press.press_spec import ElasticPress, Span
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Pressed, pose, render_touch
 from tactile_sim.sets.round_plan import keyed_rng, on_object
-from tactile_sim.sets.touch_spec import TouchSetSpec
+from tactile_sim.sets.set_options import TouchSetSpec
 from tactile_sim.user_values import finite_array
 from tactile_toolkit import arithmetic, read, store, touch
 from tactile_toolkit.mesh import MeshLike

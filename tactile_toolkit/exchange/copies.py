@@ -15,8 +15,6 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import catalog, errors, mesh, places, read, run, store, wording
-from tactile_toolkit.catalog import row_options
-from tactile_toolkit.catalog.rows import short_name
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh import records
 from tactile_toolkit.read import schemas
@@ -66,7 +64,7 @@ def merge_sets(
         ids, pairs = new_ids([source.table.files for source in sources])
         if pairs:
             options["renumbered"] = [
-                {"source": short_name(sources[index].name), "ids": list(map(list, changed))}
+                {"source": catalog.short_name(sources[index].name), "ids": list(map(list, changed))}
                 for index, changed in pairs.items()
             ]
     titles = [""] * len(sources)
@@ -246,7 +244,7 @@ def plan_tables(
             tasks.append(store.ShardTask(store.ShardName(split, index, len(starts)), part, _flat_rows))
     options = {
         "layout": "flat",
-        "ids": ",".join(map(row_options.id_text, chosen.ids or ())) or None,
+        "ids": ",".join(map(catalog.id_text, chosen.ids or ())) or None,
         "labels": ",".join(chosen.labels or ()) or None,
         "limit": chosen.limit,
     }

@@ -33,7 +33,6 @@ import pyarrow as pa
 from PIL import Image
 
 from tactile_toolkit import __version__, catalog, mesh, pictures, places, read, run, store, wording
-from tactile_toolkit.catalog.rows import short_name
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import Column
@@ -188,7 +187,7 @@ class Gallery:
                 part = slice(start, start + rows_per_task)
                 tasks.append(RowsTask(rows[part], split, item, known_values[part]))
         shown = {split: len(rows) for split, rows in chosen.splits.items()}
-        heading = chosen.titled(f"{title} · {short_name(chosen.place.name)}")
+        heading = chosen.titled(f"{title} · {catalog.short_name(chosen.place.name)}")
         kind = chosen.kind
         of_split = Column(pa.string(), name=SPLIT, role="facet", title="Split", values=tuple(shown))
         return cls(kind.name, heading, (kind.noun, kind.nouns), (*columns, of_split), tuple(tasks), shown)

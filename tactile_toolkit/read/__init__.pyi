@@ -2,6 +2,7 @@
 
 from .record import (
     NestedColumn as NestedColumn,
+    null_fields as null_fields,
     numpy_values as numpy_values,
     RaggedColumn as RaggedColumn,
     Record as Record,

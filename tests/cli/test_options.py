@@ -13,7 +13,7 @@ from cli.options import _runner_name, parse_local_path, parse_path
 from mnist3d.digit_options import SolidSpec
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_options import SceneOptions
-from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.set_options import TrainConfig
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import open_folder
 from tests.command_line import call

@@ -13,8 +13,7 @@ import pytest
 import typer
 
 import mnist3d
-from tactile_sim.sets.learning_specs import TrainConfig
-from tactile_sim.sets.touch_spec import TouchPlan
+from tactile_sim.sets.set_options import TouchPlan, TrainConfig
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
 from tests.command_line import call

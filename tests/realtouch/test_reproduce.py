@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import realtouch
-from realtouch.touches.summary import paper_numbers
+from realtouch.touches.loading import paper_numbers
 from tests.realtouch.factories import make_round, single_rows, write_set
 
 
@@ -43,7 +43,7 @@ def test_each_number_is_that_of_the_data(folder):
 
 
 def test_a_paper_sized_gel_agrees(folder, monkeypatch):
-    monkeypatch.setattr("realtouch.touches.summary._TOUCHES_OF_A_GEL", 1024)
+    monkeypatch.setattr("realtouch.touches.loading._TOUCHES_OF_A_GEL", 1024)
     assert found(folder)["gel replaced after"] == ("1,024 of 1,536", True)
 
 

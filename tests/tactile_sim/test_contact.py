@@ -15,8 +15,8 @@ import starstruck_gen
 import tactile_sim
 from realtouch.touch_gallery import plan_gallery
 from realtouch.touch_previews import CONTACT, draw_grid
-from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.pairs import Domain, Pairs, decode_depth, encode_depth, make_pairs
+from tactile_sim.sets.set_options import PairSetSpec
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.places import open_place

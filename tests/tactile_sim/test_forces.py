@@ -13,7 +13,7 @@ from PIL import Image
 
 import realtouch
 import tactile_sim
-from realtouch.force_pictures import force_views
+from realtouch.touch_previews import force_views
 from tactile_sim import ElasticPress, Gel, TouchPlan, TouchSetSpec, center_view, full_view, pose
 from tactile_sim.optics.rendering import make_optics
 from tactile_sim.press.elastic_press import draw_markers

@@ -16,7 +16,7 @@ import tactile_sim
 from tactile_sim.optics.rendering import make_optics
 from tactile_sim.sets.generation import TouchGenerator
 from tactile_sim.sets.round_plan import REACH_M
-from tactile_sim.sets.touch_spec import default_optics
+from tactile_sim.sets.set_options import default_optics
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
 from tests.command_line import call
@@ -347,9 +347,9 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
 
 
 def test_the_default_of_the_optics_needs_no_extra(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("tactile_sim.sets.touch_spec.find_spec", lambda name: name)
+    monkeypatch.setattr("tactile_sim.sets.set_options.find_spec", lambda name: name)
     assert default_optics() == "taxim"
-    monkeypatch.setattr("tactile_sim.sets.touch_spec.find_spec", lambda _: None)
+    monkeypatch.setattr("tactile_sim.sets.set_options.find_spec", lambda _: None)
     assert default_optics() == "depth"
     block().apply_scale(1000).export(tmp_path / "part.stl")
     words = (tmp_path / "part.stl", "--size", "32x24", "--out", tmp_path / "touch.png")

@@ -21,8 +21,8 @@ import realtouch
 import tactile_sim
 import tactile_sim.optics.taxim
 from tactile_sim.optics.sensor_noise import add_noise
-from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.pairs import Pairs, make_pairs
+from tactile_sim.sets.set_options import PairSetSpec
 from tactile_toolkit.errors import (
     BusyError,
     InputError,
@@ -51,7 +51,7 @@ from tactile_sim.learned.generators import (  # noqa: E402
     shades_of,
 )
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.sets.learning_specs import TrainConfig, TrainRun  # noqa: E402
+from tactile_sim.sets.set_options import TrainConfig, TrainRun  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")

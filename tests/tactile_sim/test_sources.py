@@ -12,8 +12,8 @@ import pytest
 
 import starstruck_gen
 import tactile_sim
-from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.pairs import make_pairs
+from tactile_sim.sets.set_options import PairSetSpec
 from tests.command_line import call
 
 pytestmark = pytest.mark.sim

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim.sets.learning_specs import PairSetSpec, TrainConfig
+from tactile_sim.sets.set_options import PairSetSpec, TrainConfig
 from tests.tactile_sim.sets import NOISE
 
 SPEC = PairSetSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, window="center")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_toolkit.catalog.row_options import id_range, id_text, parse_ids
+from tactile_toolkit.catalog import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh import Mesh, MeshFile, check_manifold, read_mesh
 from tactile_toolkit.mesh.solid_check import require_solid

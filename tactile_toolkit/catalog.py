@@ -1,30 +1,140 @@
-"""Rows of a data set, chosen by split, id and class, or checked in several processes; and their files."""
+"""Rows of data sets: the options by which they are chosen, the choice, and checks in several processes.
+
+Commands import this module for their options: libraries are imported where rows are chosen or checked.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
-
-import numpy as np
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 from tactile_toolkit import checked_fields, mesh, places, read, run, store
-from tactile_toolkit.catalog.row_options import IdChoice, IdOrRange, id_range, id_text
+from tactile_toolkit.checked_fields import check_fields, integer, is_integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.read import record
-from tactile_toolkit.store.manifest import DATA_FOLDER, damaged_error
-from tactile_toolkit.value_types import Bool, Int64
+from tactile_toolkit.value_types import Bool, Int64, JsonDict
+from tactile_toolkit.wording import comma_separated
 
-D = TypeVar("D", bound=read.RecordDataset[Any])
+_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
+IdOrRange: TypeAlias = int | str | tuple[int, int]
+"""An id, or the first and the last id of a range."""
+IdChoice: TypeAlias = Sequence[IdOrRange]
+
+ROWS = "Rows"
+"""Panel of the help for options that choose rows."""
+# Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
+SPLIT = text(metavar="NAME", panel=ROWS, help="Only this split; all by default.")
+LIMIT = integer(None, 1, optional=True, panel=ROWS, help="Only the first N rows of each split.")
+PER_CLASS = integer(None, 1, optional=True, panel=ROWS, help="Only the first N of each class, in each split.")
+
+D = TypeVar("D", bound="read.RecordDataset[Any]")
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
 C = TypeVar("C", bound=Any)
 T = TypeVar("T")
+
+
+def parse_ids(text: str) -> list[IdOrRange]:
+    """Read ids such as ``3,17,40-60``: numbers, ranges, and other words unchanged.
+
+    Ranges are not expanded, because most of their numbers may belong to no row. Raises InputError for an
+    empty id.
+    """
+    return [_as_id(word.strip()) for word in text.split(",")]
+
+
+def _as_id(word: str) -> IdOrRange:
+    if not word:
+        raise InputError("has ''; expected ids such as 3,17,40-60", field="ids")
+    try:
+        low, high = id_range(word)
+    except InputError:
+        return word
+    choice: IdOrRange = low
+    if "-" in word[1:]:
+        choice = (low, high)
+    # 007 is the number 7, but a different text.
+    if id_text(choice) == word:
+        return choice
+    return word
+
+
+def id_range(choice: IdOrRange) -> tuple[int, int]:
+    """Return the first and the last number of an id or a range; InputError for other text."""
+    if not isinstance(choice, str):
+        ends = choice if isinstance(choice, tuple) else (choice, choice)
+        if len(ends) != 2 or not is_integer(*ends):
+            raise InputError(
+                f"has {choice!r}; expected integers, texts, or pairs of the first and the last integer",
+                field="ids",
+            )
+        return ends
+    match = _IDS.fullmatch(choice)
+    if match is None or int(match[2] or match[1]) < int(match[1]):
+        raise InputError(
+            f"has {choice!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60",
+            field="ids",
+        )
+    return int(match[1]), int(match[2] or match[1])
+
+
+def id_text(choice: IdOrRange) -> str:
+    """Return an id or a range as text: where ids are texts, ``2024-01`` is not a range."""
+    if isinstance(choice, tuple):
+        return "-".join(map(str, choice))
+    return str(choice)
+
+
+@dataclass(frozen=True, slots=True)
+class RowFilter:
+    """Options of commands that take some of the objects of a data set."""
+
+    ALL: ClassVar[RowFilter]
+    """Takes all objects."""
+
+    split: str | None = SPLIT
+    ids: IdChoice | None = text(
+        name="--ids",
+        metavar="3,17,40-60",
+        panel=ROWS,
+        read=parse_ids,
+        help="Only the objects with these ids.",
+    )
+    labels: Sequence[str] | None = text(
+        metavar="3,7", panel=ROWS, read=comma_separated, help="Only the objects of these classes."
+    )
+    per_class: int | None = PER_CLASS
+    limit: int | None = LIMIT
+
+    def given(self) -> JsonDict:
+        """Return the options by name; the split ``all`` becomes None."""
+        named = {option.name: getattr(self, option.name) for option in fields(RowFilter)}
+        return {**named, "split": None if self.split == "all" else self.split}
+
+
+RowFilter.ALL = RowFilter()
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewSpec(RowFilter):
+    """Options of the previews of a data set of meshes.
+
+    Without ``kinds`` a sheet is drawn; without ``split`` all splits; without ``ids`` the first ``per_class``
+    rows of each class on a sheet, or the first row in a single picture. With ``labels`` only rows of these
+    classes are taken. Finally, the first ``limit`` of each split are taken.
+    """
+
+    per_class: int = integer(10, 1)
+    kinds: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the previews")
 
 
 def open_splits(
@@ -62,6 +172,8 @@ def choose_rows(
     these rows, the first ``per_class`` of each class are taken, then the first ``limit`` of each split.
     Raises InputError if an id, a range or a class matches no row, or no row is left.
     """
+    import numpy as np
+
     asked = list(checked_fields.to_builtin(() if ids is None else ids))
     is_met = np.zeros(len(asked), bool)
     choices = []
@@ -108,9 +220,11 @@ def _with_id(rows: Any, choice: IdOrRange) -> Bool:
     if isinstance(choice, str) and rows.ids.dtype.kind not in "iuf":
         values = rows.ids
     if values.dtype.kind not in "iuf":
-        return np.asarray(values == id_text(choice), bool)
+        is_match: Bool = values == id_text(choice)
+        return is_match
     low, high = id_range(choice)
-    return np.asarray((values >= low) & (values <= high))
+    is_inside: Bool = (values >= low) & (values <= high)
+    return is_inside
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +314,7 @@ def _check_part(
     file = Path(part.shard.path).name
     checked: list[CheckedRow[T]] = []
     for block in part.shard.blocks(part.group):
-        nulls = record.null_fields(block.table, columns)
+        nulls = read.null_fields(block.table, columns)
         for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
             # In data sets of others an id may be null, or a text.
             known_id = read.whole_number(row_id)
@@ -220,14 +334,14 @@ def specification_read(address: str) -> Iterator[None]:
         yield
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
-        raise damaged_error(address, problem) from error
+        raise store.damaged_error(address, problem) from error
 
 
 def manifest_beside(path: str) -> store.Manifest | None:
     """Return the manifest of the data set folder of a file; None if there is none."""
     data, _ = store.split_uri(path)
     folder, name = store.split_uri(data.address())
-    if name == DATA_FOLDER:
+    if name == store.DATA_FOLDER:
         return store.manifest_so_far(folder)
     return None
 

@@ -1,5 +1,0 @@
-"""Published data sets, and where a data set of a given name lies."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
