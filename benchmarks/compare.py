@@ -284,15 +284,15 @@ def _longer(row: dict[str, Any], touches: int) -> dict[str, Any]:
 @contextmanager
 def served(data: Path) -> Iterator[dict[str, str]]:
     """Give the settings of a client of a Hub as far away as a real one: each answer takes its time."""
-    from tests.hub_server import hub, server as module
+    from tests.hub_server import hub, routes, server as module
 
-    at_once = module.answer
+    at_once = routes.answer
 
     def answer(asked: Any) -> Any:
         time.sleep(ROUND_TRIP_S)
         return at_once(asked)
 
-    module.answer = answer
+    module.answer = answer  # type: ignore[attr-defined]  # the server uses the name that it imported
     with hub(data / "hub") as server:
         yield {
             "HF_ENDPOINT": server.endpoint,

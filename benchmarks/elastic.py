@@ -21,6 +21,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -147,8 +148,8 @@ def error_um(plain: PlainSolver, heights: list[np.ndarray], pixels: tuple[float,
     """Return the mean distance from surfaces in double precision, micrometres."""
     distances_m = []
     for height_m in heights:
-        exact = plain.solve(height_m[::-1], FORCE_N)
-        ours = solve(height_m, pixels, tactile_sim.GelLoad(FORCE_N, gel=FREE))
+        exact: Any = plain.solve(height_m[::-1], FORCE_N)
+        ours: Any = solve(height_m, pixels, tactile_sim.GelLoad(FORCE_N, gel=FREE))
         distances_m.append(np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean())
     return 1e6 * float(np.mean(distances_m))
 

@@ -75,7 +75,7 @@ def in_tars(source: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
     for name in sorted(source.glob("*.tar")):
         with tarfile.open(name) as tar:
             for member in tar:
-                content = tar.extractfile(member).read()  # type: ignore[union-attr]
+                content = tar.extractfile(member).read()
                 if not member.name.endswith(".json"):
                     image = content
                 else:

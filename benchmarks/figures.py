@@ -325,7 +325,7 @@ def written(text: str, results: Mapping[str, Any]) -> str:
     """Return a document with its tables as they are to be."""
     for name, table in tables(results):
         block = re.compile(rf"(<!-- figures: {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        text = block.sub(lambda found, table=table: f"{found[1]}\n{table}\n\n{found[2]}", text)  # type: ignore[misc]
+        text = block.sub(lambda found, table=table: f"{found[1]}\n{table}\n\n{found[2]}", text)
     return text
 
 

@@ -172,8 +172,8 @@ def print_measures(weights: Path, pairs: str, noise: SensorNoise | None, seed: i
     made["taxim"] = make_optics("taxim").render(depth_m, data.sensor, data.size_px)
     # Random halves of all touches, as generated and real images are of the same objects too.
     drawn = np.random.default_rng(seed).permutation(len(real.images))
-    halves = [(real.images[drawn[k::2]], real.objects[drawn[k::2]]) for k in (0, 1)]
-    rows = {"real": (math.nan, two_sample_test(*halves, seed), real.images, real)}
+    first_half, second_half = ((real.images[drawn[k::2]], real.objects[drawn[k::2]]) for k in (0, 1))
+    rows = {"real": (math.nan, two_sample_test(first_half, second_half, seed), real.images, real)}
     for name, pictures in made.items():
         off = np.abs(depth_from(inverse, pictures) - depth.images)[depth.contact == 1]
         shown = pictures

@@ -74,6 +74,7 @@ def report_always_on_object(root: Path, repeats: int) -> None:
     env.reset(seed=0)
     poses, random = env.current_object_poses_platform_frame.matrix, np.random.default_rng(0)
     starts = []
+    record: Any
     for pose, record in zip(poses, env.current_data_points, strict=True):
         vertices_m = np.asarray(record.vertices_m, np.float64)
         top = vertices_m[vertices_m[:, 2] > vertices_m[:, 2].max() - 0.001]

@@ -92,7 +92,8 @@ def overhead() -> None:
             both: dict[str, list[float]] = {"here": [], "there": []}
             for _ in range(4):
                 # The function writes what a shard writes, so that only the way there and back differs.
-                for name, runner in {"here": InlineRunner(), "there": RayRunner(address)}.items():
+                runners: dict[str, Runner] = {"here": InlineRunner(), "there": RayRunner(address)}
+                for name, runner in runners.items():
                     results = runner.run(Nothing(str(folder)), [plan.tasks[0]] * count)
                     next(results)  # joining the cluster and the start of the worker are not of a shard
                     start_s = time.perf_counter()

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tactile_toolkit.run import prepare_batch_process
 
@@ -128,7 +128,7 @@ def peer_table(images: list[np.ndarray]) -> None:
     All digits of a method are written into one file, as in data sets, and each gets its share of the time; a
     file for each of our digits would take 1.2 ms more.
     """
-    methods = ((our_row, our_shard), (plain_literal, parquet_bytes))
+    methods: Any = ((our_row, our_shard), (plain_literal, parquet_bytes))
     for make, write in methods:
         write([make(images[0])] * len(images))
     turns = [[processor_ms(make, pixels) for make, _ in methods] for pixels in images]

@@ -360,7 +360,7 @@ def _formats_page() -> str:
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import Card, field_table, markdown_table
 
-    def table(schema: Any, row_type: type) -> str:
+    def table(schema: Any, row_type: Any) -> str:
         return field_table(FolderSummary((), schema), row_type.meanings()).replace(
             "frame below", "frame of the mesh"
         )

@@ -21,7 +21,7 @@ def trunk(outputs: int) -> nn.Sequential:
         nn.Linear(1024, 128),
         nn.ReLU(),
         nn.Linear(128, outputs),
-    ).to(memory_format=torch.channels_last)  # type: ignore[no-any-return, call-overload]
+    ).to(memory_format=torch.channels_last)
 
 
 def _ways() -> torch.Tensor:
@@ -52,4 +52,4 @@ class Policy(nn.Module):
 
     def value(self, maps: torch.Tensor) -> torch.Tensor:
         """Return the sum of rewards that is expected until the end of the episode, (n,)."""
-        return self.critic(maps)[:, 0]  # type: ignore[no-any-return]
+        return self.critic(maps)[:, 0]
