@@ -128,8 +128,11 @@ def read_owner(head: JsonObject, address: str) -> OwnerWords:
     try:
         for name, read in _READERS.items():
             value = stated.get(name)
-            if value:
-                words[name] = list(map(read, value)) if name == "author" else read(value)
+            if value and name == "author":
+                authors = [value] if isinstance(value, str) else value
+                words[name] = [read(author) for author in authors]
+            elif value:
+                words[name] = read(value)
     except (InputError, TypeError, AttributeError) as error:
         raise InputError(
             f"the card of {address!r}: its {KEY!r} cannot be used ({error})",

@@ -120,6 +120,9 @@ def test_a_head_that_was_changed_by_hand_is_checked(digits: Path, capsys: Any) -
         path.write_text(text.replace("---\n", f"---\n{owner}\n", 1), encoding="utf-8")
         assert call("tactile", "card", digits) == 2
         assert "correct 'owner' in its head" in capsys.readouterr().err
+    path.write_text(text.replace("---\n", "---\nowner: {author: Jane Doe}\n", 1), encoding="utf-8")
+    assert call("tactile", "card", digits) == 0
+    assert card_of(digits)[0]["owner"] == {"author": ["Jane Doe"]}
     # An unreadable card is written again.
     path.write_text("---\n: : :\n---\n", encoding="utf-8")
     assert call("tactile", "card", digits, "--license", "mit") == 0
