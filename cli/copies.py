@@ -125,32 +125,29 @@ def merge(
     *,
     names: list[str] = argument("NAME", "Data sets of one kind.", several=True),
     source_options: AnySourceOptions,
-    source_column: str | None = text(
-        metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
-    ),
     out: str = out_folder("merged"),
     run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
-    """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
+    """Merge data sets into one with the columns and classes of all; a column that a set lacks is null there.
 
-    Columns and classes must be the same. If an id occurs again, the later row gets a new one. References to
-    other data sets, such as object_id, are not changed.
+    The columns source, source_id and licence state the data set of each row. If an id occurs again, the later
+    row gets a new one. References to other data sets, such as object_id, are not changed.
 
-    Examples: tactile merge digits others --out both;
-    tactile merge digits others --source-column source --out both
+    Example: tactile merge digits others --out both
     """
     sources = [source_options.open_source(sink, name) for name in names]
     kind = sources[0].choose_kind(source_options.kind)
-    make = partial(exchange.merge_sets, kind, sources, out, source_column=source_column)
+    make = partial(exchange.merge_sets, kind, sources, out)
     manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, out)
     if manifest is None:
         return
-    for entry in manifest.spec["options"].get("renumbered", ()):
-        (old, new), *_ = pairs = entry["ids"]
+    merged = manifest.spec["options"]
+    sink.line("; ".join(f"{source}: licence {licence}" for source, licence in merged["sources"].items()))
+    if "new_ids" in merged:
         sink.line(
-            f"{entry['source']}: {with_count(len(pairs), 'ids')} changed, the first from {old} to {new} "
-            f"(manifest.json lists all)"
+            f"{with_count(merged['new_ids'], 'ids')} occurred again and are new; the column source_id has "
+            "those of the sources"
         )
 
 

@@ -243,7 +243,7 @@ class AssetProvider:
 
     def touches(
         self, name: str | os.PathLike[str], split: str = "train"
-    ) -> realtouch.TouchSeqDataset | realtouch.TouchSingleDataset:
+    ) -> realtouch.TouchSeqDataset | realtouch.TouchSingleDataset | realtouch.TouchMixedDataset:
         """Return the rounds of real touches of a split, as a lazy sequence of records.
 
         Parameters

@@ -53,6 +53,7 @@ from .touches.loading import (
 from .touches.datasets import (
     TouchDataset as TouchDataset,
     Touches as Touches,
+    TouchMixedDataset as TouchMixedDataset,
     TouchSeqDataset as TouchSeqDataset,
     TouchSingleDataset as TouchSingleDataset,
     TouchStream as TouchStream,

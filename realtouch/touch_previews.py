@@ -162,7 +162,7 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     rule = contact_source.heights
     is_contact = row.stated_contact() if contact_source.has_column else np.zeros(record.touch_count, bool)
     if rule is not None:
-        z_m = row.contact_z_m(row.kind)
+        z_m = row.contact_z_m()
         heights_m = contact.contact_heights_m(z_m, plate_z_m=row.plate_z_m(rule))
         is_contact = heights_m >= rule.min_height_m
     tiles = []

@@ -20,6 +20,13 @@ def digits_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def write_scenes(folder: Path, seed: int = 0) -> Path:
+    """Write three scenes in split train and two in test."""
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 2)), seed=seed)
+    starstruck_gen.generate(spec, folder)
+    return folder
+
+
 @pytest.fixture(scope="session")
 def scenes_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty scenes in split train, nine in test."""

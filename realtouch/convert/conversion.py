@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate, groupby
+from itertools import accumulate, groupby, pairwise
 from operator import itemgetter
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Protocol, Unpack
@@ -218,7 +218,8 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
 class _ConvertRows:
     """Makes shards of a conversion; picklable.
 
-    ``shards`` are the files of the source with the rows, ``start`` is the number of their first row.
+    ``shards`` are the files of the source with the rows, ``start`` is the number of their first row;
+    ``absent`` are the columns that rows of a merged set lack.
     """
 
     shards: Sequence[read.Shard]
@@ -226,6 +227,7 @@ class _ConvertRows:
     step: Step
     schema: pa.Schema
     pack: Pack | None
+    absent: tuple[str, ...] | None = None
 
     def __call__(self, shard: store.ShardName, choices: Sequence[RowChoice]) -> store.ShardContent:
         """Convert rows; damaged ones are left out and listed."""
@@ -252,6 +254,10 @@ class _ConvertRows:
                     message = message.replace(source_shard.path, source_shard.path.rpartition("/")[2])
                 skipped.append(store.Skipped(choice.row, store.Skipped.DAMAGED, message))
         kept = pa.concat_tables(tables)
+        if self.absent is not None:
+            present = {name for name in kept.column_names if kept[name].null_count < len(kept)}
+            new_schema = read.with_absent(self.schema, set(self.absent) - present)
+            kept = kept.replace_schema_metadata(new_schema.metadata)
         if self.pack is not None:
             kept, packed = self.pack(shard, kept, skipped)
             files |= packed
@@ -277,11 +283,28 @@ class _ConvertRows:
             start += len(shard)
 
 
+def _chunks(
+    choices: Sequence[RowChoice], size: int, absent: Sequence[tuple[str, ...]]
+) -> list[Sequence[RowChoice]]:
+    """Divide rows into shards; all rows of a shard lack the same columns, those of ``absent``."""
+    ends = [0, *accumulate(len(list(alike)) for _, alike in groupby(absent))]
+    return [
+        choices[start : min(start + size, stop)]
+        for run_start, stop in pairwise(ends)
+        for start in range(run_start, stop, size)
+    ]
+
+
+def _file_of(starts: Sequence[int], choice: RowChoice) -> int:
+    """Return the number of the file with a row, by the first row of each file."""
+    return bisect_right(starts, choice.row) - 1
+
+
 def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     """Divide rows into shards; reads footers only."""
     source, step = conversion.source, conversion.step
     names = source.class_names
-    new_schema = touch.with_features(step.schema(schema.flat_schema(source.schema)), names)
+    new_schema = touch.with_features(step.schema(read.flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MAX_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
@@ -293,11 +316,20 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         if conversion.rows_per_shard is None:  # a large split gets shards as large as a worker can hold
             most = max(per_shard, _SHARD_BYTES // row_bytes)
             size = min(store.rows_per_shard(len(choices), per_shard), most)
-        chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
+        absent = [tuple[str, ...]()] * len(shards)
+        is_merged = read.is_merged(shards[0].schema)
+        if is_merged:
+            absent = [read.absent_columns(shard.schema) for shard in shards]
+        chunks = _chunks(choices, size, [absent[_file_of(starts, choice)] for choice in choices])
         for index, chunk in enumerate(chunks):
-            first, last = (bisect_right(starts, chunk[end].row) - 1 for end in (0, -1))
+            first, last = (_file_of(starts, chunk[end]) for end in (0, -1))
             convert_rows = _ConvertRows(
-                shards[first : last + 1], starts[first], step, new_schema, conversion.pack
+                shards[first : last + 1],
+                starts[first],
+                step,
+                new_schema,
+                conversion.pack,
+                absent[first] if is_merged else None,
             )
             tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, convert_rows))
     spec = {
@@ -427,22 +459,23 @@ def _selection(touches: JsonObject, opened: loading.Source, rows: catalog.RowFil
     if not options["contact"]:
         whole = KeepTouches(some_touches=False)
         return Conversion(opened, "select", options, whole, chosen_rows(opened, rows))
-    contact_source = schema.ContactSource.of(read.column_types(opened.schema))
-    if contact_source.heights is not None and options["min_height_m"] is None:
-        options["min_height_m"] = contact_source.heights.min_height_m
-    by_height = options["min_height_m"] is not None
-    if not by_height:
-        options["contact_rule"] = str(contact_source)
+    sources = opened.contact_sources
+    rule = "; or ".join(map(str, sources))
+    by_height = options["min_height_m"] is not None or any(source.heights for source in sources)
+    if len(sources) == 1 and sources[0].heights is not None and options["min_height_m"] is None:
+        options["min_height_m"] = sources[0].heights.min_height_m
+    if options["min_height_m"] is None:
+        options["contact_rule"] = rule
     # The limit counts rounds with contact.
     choices = {
         split: _with_contact(opened, split, choices, options)[: rows.limit]
         for split, choices in chosen_rows(opened, replace(rows, limit=None)).items()
     }
     if not any(choices.values()):
-        if by_height:
+        if options["min_height_m"] is not None:
             raise _no_contact(opened, options["min_height_m"])
         raise errors.InputError(
-            f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contact_source})",
+            f"no chosen touch of {opened.name!r} is a contact (a touch is one if {rule})",
             next="leave out --contact, or give fewer filters",
         )
     return Conversion(opened, "select", options, KeepTouches(True, by_height), choices)
@@ -491,7 +524,7 @@ class KeepTouches:
         for index, column in enumerate(source):
             if schema.is_per_touch(column.name, column.type):
                 fields[index] = pa.field(column.name, pa.list_(column.type.value_type))
-        if self.by_height and touch.HeightRule.PLATE_COLUMN not in read.column_types(source):
+        if self.by_height and touch.HeightRule.PLATE_COLUMN not in source.names:
             fields.append(pa.field(touch.HeightRule.PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
@@ -503,7 +536,13 @@ class KeepTouches:
         kept = schema.take_touches(flat, choice.touches, row.touch_total())
         if row.has(touch.HeightRule.PLATE_COLUMN) or not self.by_height:
             return kept, {}
-        plate_m = row.plate_z_m(row.contact_source.heights)
-        if math.isnan(plate_m):
-            plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
-        return kept.append_column(touch.HeightRule.PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}
+        plate_m = None
+        if row.has_poses:
+            plate_m = row.plate_z_m(row.contact_source.heights)
+            if math.isnan(plate_m):
+                plate_m = row.contact_z_m().min(initial=np.inf)
+        column = touch.HeightRule.PLATE_COLUMN
+        values = pa.array([plate_m], pa.float64())
+        if column in kept.column_names:  # it is null in rows that lacked it before sets were merged
+            return kept.set_column(kept.schema.get_field_index(column), column, values), {}
+        return kept.append_column(column, values), {}

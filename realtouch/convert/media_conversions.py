@@ -208,9 +208,7 @@ def resize(
         )
 
     def plan(opened: loading.Source, rows: catalog.RowFilter) -> conversion.Conversion:
-        others = [
-            name for name in schema.extra_columns(read.column_types(opened.schema)) if name.endswith("_px")
-        ]
+        others = [name for name in schema.extra_columns(opened.schema.names) if name.endswith("_px")]
         unknown = [name for name in others if name not in _MIDDLE_OF_FIRST_PX]
         if unknown:
             raise errors.InputError(
@@ -256,7 +254,7 @@ class ResizeMedia:
         for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
             maps = [media.encode_map(self._map(depth_map)) for depth_map in media.DepthMaps(row, name)]
             made[name] = media.numbered_media(maps, media.SUFFIX)
-        for name, stored in schema.extra_columns(flat.column_names).items():
+        for name, stored in schema.extra_columns(row.group.names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
                 with row.naming(stored):

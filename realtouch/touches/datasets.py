@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -37,7 +37,7 @@ class TouchDataset(read.RecordDataset[R]):
     """
 
     things = "rounds"
-    kind: schema.Kind
+    kind: schema.Kind | Literal["mixed"]
 
     def touches(self) -> Touches[R]:
         """Return the flat view: every touch of every round, in order, with random access."""
@@ -48,18 +48,17 @@ class TouchDataset(read.RecordDataset[R]):
         """Label of each round, shape (len,), int64, -1 without labels; reads the label column only."""
         return self._integers("label", lambda: np.full(len(self), -1), lambda record: record.label)
 
-    @property
-    def pose_column(self) -> str:
-        """Column of the positions of the gel."""
-        return f"{schema.POSE_COLUMN[self.kind]}.position"
-
     def _row_at(self, number: int) -> stored_round.StoredRound:
         return stored_round.StoredRound(*self.table.locate(number))
 
     @property
     def object_ids(self) -> Int64:
         """Id of the touched object of each round, shape (len,), int64, -1 without one."""
-        return self._integers("object_id", lambda: np.full(len(self), -1), lambda record: record.object_id)
+        return self._integers(
+            "object_id",
+            lambda: np.full(len(self), -1),
+            lambda record: record.object_id if record.row.has("object_id") else -1,
+        )
 
     @property
     def touch_counts(self) -> Int64:
@@ -83,12 +82,12 @@ class TouchDataset(read.RecordDataset[R]):
         """
 
         def heights_m(row: stored_round.StoredRound, source: schema.ContactSource) -> Float64:
-            z_m = row.readable(partial(row.contact_z_m, self.kind))
+            z_m = row.readable(row.contact_z_m)
             is_known = source.heights is not None and source.heights.plate == "known"
             return contact.contact_heights_m(z_m, recalibrate_z or is_known, row.plate_z_m(source.heights))
 
-        columns = [touch.HeightRule.PLATE_COLUMN, "pos_in_cell", "video_length_frames", self.pose_column]
-        return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
+        counting = [touch.HeightRule.PLATE_COLUMN, "pos_in_cell", "video_length_frames"]
+        return self._per_touch(f"heights {recalibrate_z}", counting, schema.POSITION_COLUMNS, heights_m)
 
     def known_positions_m(self) -> Float64:
         """Read the intended position of every stored touch; NaN if it cannot be read.
@@ -99,7 +98,7 @@ class TouchDataset(read.RecordDataset[R]):
         def positions_m(row: stored_round.StoredRound, _source: schema.ContactSource) -> Float64:
             return row.readable(row.intended_positions, (2,))
 
-        return self._per_touch("positions", ["pos_in_cell"], positions_m)
+        return self._per_touch("positions", (), ["pos_in_cell"], positions_m, (2,))
 
     def stated_contact(self) -> Float64:
         """Read the column of contact of every stored touch: 1, 0, or NaN where it cannot be read.
@@ -107,20 +106,30 @@ class TouchDataset(read.RecordDataset[R]):
         Shape (touches of all stored rows,).
         """
         return self._per_touch(
-            "contact", [schema.CONTACT_COLUMN], lambda row, _source: row.readable(row.stated_contact)
+            "contact", (), [schema.CONTACT_COLUMN], lambda row, _source: row.readable(row.stated_contact)
         )
 
     def _per_touch(
         self,
         key: str,
+        counting: Sequence[str],
         columns: Sequence[str],
         known: Callable[[stored_round.StoredRound, schema.ContactSource], Float64],
+        shape: tuple[int, ...] = (),
     ) -> Float64:
-        """Join the values of the touches of each stored row; reads a few columns."""
+        """Join the values of the touches of each stored row; reads a few columns.
+
+        Values follow from any one of ``columns``; they are NaN in files without one. ``counting`` are read,
+        too.
+        """
 
         def of_source(source: read.RowSource) -> list[Float64]:
-            contact_source = schema.ContactSource.of(read.column_types(source.schema))
-            return [known(row, contact_source) for row in stored_round.stored_rows([source], columns)]
+            types = read.column_types(source.schema)
+            if not types.keys() & set(columns):
+                return [np.full((int(stored_round.stored_touch_counts(source).sum()), *shape), np.nan)]
+            contact_source = schema.ContactSource.of(types)
+            rows = stored_round.stored_rows([source], [*counting, *columns])
+            return [known(row, contact_source) for row in rows]
 
         values = self.table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
@@ -145,9 +154,8 @@ class TouchDataset(read.RecordDataset[R]):
         number = 0
         # In stored order, so that each block is read once, whatever the order of the view.
         chosen = set(self.row_numbers.tolist())
-        media = schema.MEDIA_COLUMN[self.kind]
         for source in self.table.shards:
-            columns = [name for name in source.schema.names if name != media]
+            columns = [name for name in source.schema.names if name not in schema.MEDIA_COLUMN.values()]
             start = number
             for block in read.ShardedTable((source,)).blocks(columns):
                 rows = _RowsWithoutMedia(block, source, number - start)
@@ -181,19 +189,36 @@ class TouchSeqDataset(TouchDataset[rounds.TouchSeqRound]):
     kind = "seq"
 
 
+def _round_of(row: stored_round.StoredRound) -> rounds.TouchSeqRound | rounds.TouchSingleRound:
+    return _DATASETS[row.kind].record_class(row)  # type: ignore[no-any-return]
+
+
+class TouchMixedDataset(TouchDataset[rounds.TouchSeqRound | rounds.TouchSingleRound]):
+    """Rounds with clips and rounds with images, such as `tactile merge` makes of sets of both."""
+
+    record_class: ClassVar[Any] = staticmethod(_round_of)
+    kind = "mixed"
+
+
 AnyDataset = TouchDataset[Any]
-"""Rounds of either kind."""
+"""Rounds of any kind."""
 
 
-def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
-    """Return the data set of some shards of one kind."""
-    dataset = _DATASETS[schema.media_kind(shards[0].schema, shards[0].path)]
-    return dataset(read.ShardedTable(tuple(shards)), None, schema.class_names_of(shards))
+LoadedDataset: TypeAlias = TouchSeqDataset | TouchSingleDataset | TouchMixedDataset
 
 
-_DATASETS: dict[schema.Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
+def dataset_of(shards: Sequence[read.RowSource]) -> LoadedDataset:
+    """Return the data set of some shards."""
+    table = read.ShardedTable(tuple(shards))
+    kinds = {schema.media_kind(stored, shards[0].path) for stored in table.schemas}
+    dataset = _DATASETS["mixed" if len(kinds) > 1 else kinds.pop()]
+    return dataset(table, None, schema.class_names_of(shards))
+
+
+_DATASETS: dict[str, type[LoadedDataset]] = {
     "seq": TouchSeqDataset,
     "single": TouchSingleDataset,
+    "mixed": TouchMixedDataset,
 }
 
 
@@ -204,13 +229,12 @@ class TouchStream(read.RowStream[read.Shard]):
     ----------
     shards : tuple of Shard
         Shards to read in turn.
-    kind : "seq" or "single"
-        Media of the rounds.
     """
 
-    def __init__(self, shards: tuple[read.Shard, ...], kind: schema.Kind) -> None:
-        super().__init__(shards)
-        self.kind = kind
+    @property
+    def kind(self) -> str:
+        """Media of the rounds: seq, single, or mixed in merged sets."""
+        return dataset_of(self.shards).kind
 
     @property
     def label_names(self) -> tuple[str, ...]:
@@ -227,7 +251,7 @@ class TouchStream(read.RowStream[read.Shard]):
     def __iter__(self) -> Iterator[rounds.TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
         blocks = (block for shard, index in self.row_groups() for block in shard.blocks(index))
-        return map(_DATASETS[self.kind].record_class, stored_round.rows_of(blocks))
+        return map(_round_of, stored_round.rows_of(blocks))
 
     def __repr__(self) -> str:
         return self._described(self.kind)
@@ -398,7 +422,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
-            self.dataset[position].row.contact_z_m(self.dataset.kind, touch)  # states what is wrong
+            self.dataset[position].row.contact_z_m(touch)  # states what is wrong
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
@@ -432,11 +456,11 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         """
         if min_height_m is not None:
             least_m = checked_fields.checked_number(min_height_m, "min_height_m")
-            poses = self.dataset.pose_column
-            if not self.dataset.has_column(poses):
+            stored_schemas = self.dataset.table.schemas
+            if not all(schema.has_poses(read.column_types(stored)) for stored in stored_schemas):
                 raise errors.InputError(
-                    f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
-                    "heights of the gel",
+                    f"{', '.join(self.dataset.description())}: no column {schema.POSITION_COLUMNS[0]!r} in "
+                    "all of its files, which has the heights of the gel",
                     next="leave out the height",
                 )
             return self.heights_m(recalibrate_z) >= least_m
@@ -456,13 +480,13 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
 
     def _contact_by(self, source: schema.ContactSource, recalibrate_z: bool) -> Bool:
         """Return whether there is contact in each touch, shape (len,), all of sets that state it this way."""
-        if source.has_column and self.dataset.has_column(schema.CONTACT_COLUMN):
+        if source.has_column:
             stated = self.dataset.stated_contact()[self._stored_numbers]
             if np.isnan(stated).any():
                 position, touch = self.locate(int(np.argmax(np.isnan(stated))))
                 self.dataset[position].row.stated_contact(touch)  # states what is wrong
             return stated > 0
-        if source.heights is not None and self.dataset.has_column(self.dataset.pose_column):
+        if source.heights is not None:
             return np.asarray(self.heights_m(recalibrate_z) >= source.heights.min_height_m)
         by_pictures: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
         return by_pictures

@@ -18,6 +18,7 @@ import pyarrow as pa
 
 from realtouch import contact, kind
 from realtouch.touches import damage, datasets, schema
+from realtouch.touches.schema import ContactSource
 from tactile_toolkit import catalog, errors, places, read, run, store, wording
 from tactile_toolkit.touch import CELL_M
 
@@ -47,7 +48,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> datasets.TouchSeqDataset | datasets.TouchSingleDataset: ...
+) -> datasets.LoadedDataset: ...
 @overload
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -65,7 +66,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> datasets.TouchSeqDataset | datasets.TouchSingleDataset | datasets.TouchStream: ...
+) -> datasets.LoadedDataset | datasets.TouchStream: ...
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
@@ -73,7 +74,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> datasets.TouchSeqDataset | datasets.TouchSingleDataset | datasets.TouchStream:
+) -> datasets.LoadedDataset | datasets.TouchStream:
     """Open a data set of real touches.
 
     Parameters
@@ -93,7 +94,7 @@ def load(
 
     Returns
     -------
-    TouchSeqDataset, TouchSingleDataset or TouchStream; rows are read on access
+    TouchSeqDataset, TouchSingleDataset, TouchMixedDataset or TouchStream; rows are read on access
 
     Raises
     ------
@@ -108,7 +109,7 @@ def load(
     data_set = places.open_place(name, revision=revision, config=config)
     files = agreeing_files(data_set.shards(split, kind=kind.KIND, streaming=streaming), data_set.name)
     if streaming:
-        return datasets.TouchStream(tuple(files), schema.media_kind(files[0].schema, files[0].path))
+        return datasets.TouchStream(tuple(files))
     return datasets.dataset_of(files)
 
 
@@ -137,9 +138,12 @@ def agreeing_files(
 
 
 def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
-    """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
+    """Refuse a file of another kind, or with other classes, than those before it; IntegrityError.
+
+    Merged files may be of both kinds.
+    """
     first = schema.media_kind(files[0].schema, files[0].path)
-    if schema.media_kind(shard.schema, shard.path) != first:
+    if schema.media_kind(shard.schema, shard.path) != first and not read.is_merged(shard.schema):
         raise errors.IntegrityError(
             f"{shard.path!r}, field {schema.MEDIA_COLUMN[first]!r}: the column is not there; expected it as "
             f"in {files[0].path!r}",
@@ -181,17 +185,25 @@ class Source:
         shards = {part: data_set.shards(part, kind=kind.KIND) for part in splits}
         for files in shards.values():
             deque(run.in_threads(schema.require_types, files, _READERS), maxlen=0)
-        return cls(
-            data_set.name,
-            shards,
-            schema.media_kind(shards[splits[0]][0].schema, data_set.name),
-            data_set.unfinished,
-        )
+        kinds = {datasets.dataset_of(files).kind for files in shards.values()}
+        media = kinds.pop()
+        if kinds or media == "mixed":
+            raise errors.InputError(
+                f"{data_set.name!r} holds clips and images; expected only one of them",
+                next="convert the data sets before they are merged",
+            )
+        return cls(data_set.name, shards, media, data_set.unfinished)
 
     @property
     def schema(self) -> pa.Schema:
         """Arrow schema of the first shard."""
         return next(iter(self.shards.values()))[0].schema
+
+    @property
+    def contact_sources(self) -> list[ContactSource]:
+        """How contact of the touches is known; merged sets may differ."""
+        stored = read.ShardedTable(tuple(self._files())).schemas
+        return list(dict.fromkeys(ContactSource.of(read.column_types(columns)) for columns in stored))
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -469,20 +469,20 @@ def hf_touches(
 ) -> Dataset:
     """Return touches as a data set of the library `datasets`; see :meth:`realtouch.Touches.to_hf`.
 
-    ``rows`` are the rounds, ``places`` and ``touches``, shape (n,), the round of each touch and its number
-    in it; ``content`` identifies all of them.
+    ``rows`` are the rounds, ``positions`` and ``touches``, shape (n,), the round of each touch and its number
+    in it; ``content`` identifies all of them. Columns that a merged round lacks are null.
     """
     from datasets import Dataset, DatasetInfo, Features  # an extra
 
     if not rows:
         return Dataset.from_dict({})
-    first = schema.flat_row(rows[0])
-    total = rows[0].touch_total()
+    first_with = {name: row for row in reversed(rows) for name in row.group.names}
     names = [
         field.name
-        for field in first.schema
-        if schema.is_per_touch(field.name, field.type)
-        and len(first.column(field.name).chunk(0).flatten()) == total
+        for field in schema.flat_row(rows[0]).schema
+        if field.name in first_with
+        and schema.is_per_touch(field.name, field.type)
+        and _count_in(first_with[field.name], field.name) == first_with[field.name].touch_total()
     ]
     parts = [_row_of_each_touch(row, names) for row in rows]
     features = Features.from_arrow_schema(parts[0].schema)
@@ -497,6 +497,10 @@ def hf_touches(
     return whole.select(starts[positions] + touches)
 
 
+def _count_in(row: stored_round.StoredRound, name: str) -> int:
+    return len(schema.flat_row(row).column(name).chunk(0).flatten())
+
+
 def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]) -> pa.Table:
     """Return a table with a row for each touch of a round; other columns repeat the value of the round."""
     table = schema.flat_row(row)
@@ -504,7 +508,9 @@ def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]
     columns = {}
     for name in table.column_names:
         array = table.column(name).chunk(0)
-        if name in per_touch:
+        if name in per_touch and not row.has(name):
+            columns[name] = pa.nulls(count, array.type.value_type)
+        elif name in per_touch:
             row.entries_of(name)  # refuses a round with more or less of them
             columns[name] = array.flatten()
         else:

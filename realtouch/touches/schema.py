@@ -19,6 +19,8 @@ MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"
 """Column of clips or images, by which the kind of a data set is recognised."""
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
+POSITION_COLUMNS = tuple(f"{column}.position" for column in POSE_COLUMN.values())
+"""Columns of the positions of the gel: of clips and of images."""
 Origin = Literal["real", "synthetic", "imported"]
 """Origins of touches; manifests of conversions state them as the option ``touches``."""
 _FLOAT = (pa.types.is_floating,)
@@ -97,7 +99,7 @@ def is_per_touch(name: str, data_type: pa.DataType) -> bool:
 
 def has_poses(names: Container[str]) -> bool:
     """Return whether poses of the gel are among some columns, by dotted name."""
-    return any(f"{column}.position" in names for column in POSE_COLUMN.values())
+    return any(column in names for column in POSITION_COLUMNS)
 
 
 class ContactSource(NamedTuple):
@@ -223,21 +225,6 @@ def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
 def column_type(schema: pa.Schema, name: str) -> pa.DataType:
     """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
     return read.column_types(schema).get(name)
-
-
-def flat_schema(schema: pa.Schema) -> pa.Schema:
-    """Return the fields of a schema with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
-    flat = read.RowGroup(schema.empty_table()).flat_table.schema
-    return pa.schema([pa.field(field.name, _plain_type(field.type)) for field in flat])
-
-
-def _plain_type(data_type: pa.DataType) -> pa.DataType:
-    """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
-    if pa.types.is_fixed_size_list(data_type):
-        return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
-    if read.list_depth(data_type)[0]:
-        return pa.list_(_plain_type(data_type.value_type))
-    return data_type
 
 
 def flat_row(row: read.Row) -> pa.Table:

@@ -406,20 +406,21 @@ class StoredRound(read.Row):
                     raise self.damaged(_POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
         return PoseSequences(positions, quaternions)
 
-    def contact_z_m(self, kind: schema.Kind, touch: int | None = None) -> Float64:
+    def contact_z_m(self, touch: int | None = None) -> Float64:
         """Return the height of the gel at the deepest press of each touch, shape (T,), or of ``touch``, (1,).
 
-        Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
+        Metres, cell frame; of a round of images, that is the height of its one pose per touch. Raises
         IntegrityError, which names the touch, for a height that is missing or not finite.
         """
-        name = f"{schema.POSE_COLUMN[kind]}.position"
-        if kind == "single":
-            heights = self.vectors(name, 3, touch)[:, 2].astype(np.float64)
-        else:
+        name, of_images = schema.POSITION_COLUMNS
+        if self.has(name) or self.kind == "seq":
             # A clip without frames has no height: infinity is refused below.
             heights = np.array(
                 [position_m[:, 2].min(initial=np.inf) for position_m in self.cut(name, 3, touch)]
             )
+        else:
+            name = of_images
+            heights = self.vectors(name, 3, touch)[:, 2].astype(np.float64)
         finite = np.isfinite(heights)
         self.require_each(name, finite, touch, "a gel height of {}; expected metres", heights)
         return heights

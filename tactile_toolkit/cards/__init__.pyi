@@ -6,6 +6,13 @@ from .card import (
     render_card as render_card,
     rewrite_card as rewrite_card,
 )
+from .licences import (
+    licence_of as licence_of,
+    LICENCE as LICENCE,
+    source_column as source_column,
+    SOURCE_ID as SOURCE_ID,
+    SOURCE_NAMES as SOURCE_NAMES,
+)
 from .yaml_head import (
     check_card as check_card,
     FolderSummary as FolderSummary,

@@ -13,7 +13,7 @@ from string import Template
 import numpy as np
 
 from tactile_toolkit import catalog, mesh, pictures, store, wording
-from tactile_toolkit.cards import owner, yaml_head
+from tactile_toolkit.cards import licences, owner, yaml_head
 from tactile_toolkit.cards.yaml_head import FolderSummary
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind, is_export
@@ -39,6 +39,11 @@ _MAX_TILE_PX = 480
 # Templates have "FOLDER" there: `datasets` loads a folder by its path, a repository by its name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 _UNKNOWN = ("", "a column of this copy; not in the published schema")
+_SOURCE_WORDS = ("", "name of the merged data set that the row is from")
+_MERGED_WORDS = {
+    licences.SOURCE_ID: ("", "id of the row there"),
+    licences.LICENCE: ("", "licence of that data set"),
+}
 _TABLE_COLUMNS: dict[str, tuple[str, str]] = {
     "label_name": ("", "name of the class"),
     **{name: ("m", f"extent along {name[5]}") for name in records.SIZES},
@@ -166,6 +171,8 @@ class Card:
         """
         facts = facts or FolderSummary.of(folder, manifest)
         name, caption = self.picture
+        source_column = licences.source_column(facts.schema.names)
+        source_words = {source_column: _SOURCE_WORDS, **_MERGED_WORDS} if source_column else {}
         values = {
             "title": wording.markdown_text(self.title),
             "noun": kind.noun,
@@ -175,7 +182,7 @@ class Card:
             "picture": "There is nothing to draw.",
             "bibtex": _bibtex(self.cited),
             "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
-            "field_table": field_table(facts, {**self.columns, **_source_column(manifest)}),
+            "field_table": field_table(facts, {**self.columns, **source_words}),
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
@@ -201,9 +208,14 @@ class Card:
             values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        body = wording.printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        terms = {}
+        sources = licences.rows_by_source(facts)
+        if sources:
+            head["license"] = licences.strictest([source.licence for source in sources])
+            terms["licence_text"] = licences.licence_text(sources)
+        body = wording.printable(render_card(self.template, {**values, **self.values, **terms}), keep="\n")
         words = owner.read_owner(yaml_head.stored_head(folder), folder.address())
-        head, body = owner.with_owner(head, body, words)
+        head, body = owner.with_owner(head, body, words, **terms)
         text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
         _write_changed(folder, store.CARD_FILE, text.encode())
 
@@ -217,6 +229,9 @@ def rewrite_card(
     card cannot be used, IntegrityError if the data are damaged.
     """
     with catalog.specification_read(folder.address()):
+        if words.license:
+            sources = licences.rows_by_source(FolderSummary.of(folder, manifest))
+            licences.require_strictest(words.license, sources)
         if words.given():
             head = yaml_head.stored_head(folder)
             stated = {**owner.read_owner(head, folder.address()).given(), **words.given()}
@@ -231,14 +246,6 @@ def rewrite_card(
         raise IntegrityError(f"{findings[0].file} of {folder.address()!r}: {findings[0].problem}")
     names = [name for name in folder.names(PREVIEW_FOLDER) if name.endswith(".png")]
     return [store.CARD_FILE, *(f"{PREVIEW_FOLDER}/{name}" for name in names)]
-
-
-def _source_column(manifest: store.Manifest | None) -> dict[str, tuple[str, str]]:
-    """Return the meaning of the column that `merge --source-column` adds, by its name."""
-    options = (manifest and manifest.spec.get("options")) or {}
-    if "source_column" not in options:
-        return {}
-    return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
 
 
 class _PackedSolid(pictures.DrawnSolid):

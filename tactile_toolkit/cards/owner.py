@@ -141,15 +141,16 @@ def read_owner(head: JsonObject, address: str) -> OwnerWords:
     return OwnerWords(**words)
 
 
-def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, str]:
-    """Return head and text of a card with the words of an owner in their places."""
+def with_owner(head: JsonDict, body: str, words: OwnerWords, licence_text: str = "") -> tuple[JsonDict, str]:
+    """Return head and text of a card with the words of an owner; ``licence_text`` stays after the licence."""
     stated = words.given()
     if not stated:
         return head, body
     changed = {**head, KEY: stated}
     if words.license:
         changed["license"] = words.license
-        body = _with_section(body, "Licence", f"{words.license}, as the owner of the data set states.\n\n")
+        section = f"{words.license}, as the owner of the data set states. {licence_text}".strip()
+        body = _with_section(body, "Licence", f"{section}\n\n")
     if words.title:
         changed["pretty_name"] = words.title
         title = f"# {wording.markdown_text(words.title)}"

@@ -15,6 +15,19 @@ _PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
 _PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
+def conversion_factor(column: str, target: str) -> float | None:
+    """Return the factor from the unit of a column to that of one with the same name in another unit.
+
+    None for other names: ``slide_mm`` becomes ``slide_m`` by 0.001.
+    """
+    stem, _, unit = column.rpartition("_")
+    target_stem, _, target_unit = target.rpartition("_")
+    for per_unit in (_PER_METRE, _PER_RADIAN, _PER_SECOND):
+        if stem and stem == target_stem and {unit, target_unit} <= per_unit.keys():
+            return per_unit[target_unit] / per_unit[unit]
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """A quantity: its name in messages, its option, and how many of each unit make one SI unit."""

@@ -10,6 +10,7 @@ from .place import (
     kind_of_published as kind_of_published,
     kind_of_rows as kind_of_rows,
     Place as Place,
+    published_set as published_set,
     published_states as published_states,
 )
 from .split_files import (

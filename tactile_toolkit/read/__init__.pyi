@@ -1,6 +1,7 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .record import (
+    flat_schema as flat_schema,
     NestedColumn as NestedColumn,
     null_fields as null_fields,
     numpy_values as numpy_values,
@@ -16,13 +17,16 @@ from .dataset import (
     RecordDataset as RecordDataset,
 )
 from .schemas import (
+    absent_columns as absent_columns,
     class_names as class_names,
     column_names as column_names,
     column_types as column_types,
     dtype_name as dtype_name,
     Expected as Expected,
+    is_merged as is_merged,
     list_depth as list_depth,
     supported_table as supported_table,
+    with_absent as with_absent,
 )
 from .shard import (
     Shard as Shard,

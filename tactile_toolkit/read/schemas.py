@@ -17,6 +17,8 @@ N = TypeVar("N", tuple[str, ...], None)
 # Names of Arrow that differ in numpy and `datasets`.
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
 # Features of `datasets` for files, and their names in cards.
+# Key of the metadata of a merged file: the columns, in JSON, that the data set of its rows did not have.
+_ABSENT = b"absent_columns"
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
@@ -49,11 +51,31 @@ def list_depth(data_type: pa.DataType) -> tuple[int, pa.DataType]:
     return depth, data_type
 
 
+def absent_columns(schema: pa.Schema) -> tuple[str, ...]:
+    """Return the columns of a merged file that hold only nulls, as the data set of its rows had none."""
+    return tuple(json.loads((schema.metadata or {}).get(_ABSENT, b"[]")))
+
+
+def is_merged(schema: pa.Schema) -> bool:
+    """Return whether a file was merged with files of other columns, of which it states the absent ones."""
+    return _ABSENT in (schema.metadata or {})
+
+
+def with_absent(schema: pa.Schema, columns: Iterable[str]) -> pa.Schema:
+    """Return the schema of a merged file whose rows lack some columns."""
+    absent = json.dumps([name for name in schema.names if name in {*columns}]).encode()
+    return schema.with_metadata({**(schema.metadata or {}), _ABSENT: absent})
+
+
 def column_types(fields: Iterable[pa.Field], prefix: str = "") -> dict[str, pa.DataType]:
     """Return the Arrow type of each column of a schema by dotted name; structs precede their fields.
 
-    Struct ``a<b, c>`` and flat columns ``a.b``, ``a.c`` have the same names.
+    Struct ``a<b, c>`` and flat columns ``a.b``, ``a.c`` have the same names. Without those of
+    :func:`absent_columns`.
     """
+    if isinstance(fields, pa.Schema):
+        absent = absent_columns(fields)
+        fields = (column for column in fields if column.name not in absent)
     types = {}
     for column in fields:
         name = prefix + column.name

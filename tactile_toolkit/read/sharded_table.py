@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import run, wording
+from tactile_toolkit.read import schemas
 from tactile_toolkit.read.record import RowGroup, numpy_values
 from tactile_toolkit.read.shard import Shard
 from tactile_toolkit.value_types import AnyArray, Int64
@@ -61,10 +62,14 @@ class ShardedTable:
 
     @property
     def schemas(self) -> list[pa.Schema]:
-        """Arrow schemas of the first shard of each set: a split of a data set."""
+        """Arrow schemas of the first shard of each set (a split of a data set), or of all merged shards."""
         # Each file that is not named as a shard is its own set.
         first = {shard.set_name: shard for shard in reversed(self.shards)}
-        return [shard.schema for shard in reversed(first.values())]
+        chosen = list(reversed(first.values()))
+        # Merged shards lack different columns.
+        if any(schemas.is_merged(shard.schema) for shard in chosen):
+            chosen = list(self.shards)
+        return [shard.schema for shard in chosen]
 
     @property
     def part_starts(self) -> Int64:
@@ -156,7 +161,7 @@ class RowSource(Protocol):
 
     @property
     def set_name(self) -> tuple[str, str]:
-        """Folder and split; sources with equal values have one schema."""
+        """Folder and split; sources with equal values have one schema, unless they were merged."""
 
     @property
     def group_starts(self) -> Sequence[int]:

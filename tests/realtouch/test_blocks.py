@@ -47,7 +47,7 @@ def test_streams_read_remote_files_piece_by_piece(one_group: Path) -> None:
     file = next((one_group / "data").glob("*.parquet"))
     memory = fsspec.filesystem("memory")
     memory.pipe_file("/touches/train.parquet", file.read_bytes())
-    stream = TouchStream((Shard("memory://touches/train.parquet"),), "single")
+    stream = TouchStream((Shard("memory://touches/train.parquet"),))
     local = realtouch.load(one_group)
     for ours, theirs in zip(stream, local, strict=True):
         assert ours.id == theirs.id

@@ -63,7 +63,7 @@ def test_every_field_of_clips(layout: Layout, truth: list[RoundTruth], tmp_path:
         starts = record.touch_start_time_rel / np.timedelta64(1, "s")
         np.testing.assert_allclose(starts, [t.time_s[t.contact_start] for t in expected.touches], atol=1e-9)
         np.testing.assert_allclose(
-            record.row.contact_z_m("seq"), [t.position_m[:, 2].min() for t in expected.touches]
+            record.row.contact_z_m(), [t.position_m[:, 2].min() for t in expected.touches]
         )
 
 

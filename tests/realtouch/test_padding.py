@@ -41,7 +41,7 @@ def test_missing_lengths_are_named(seq_folder: Path) -> None:
     for ask in (
         StoredRound.pose_sequences,
         lambda row: row.pose_sequences(0),
-        lambda row: row.contact_z_m("seq"),
+        lambda row: row.contact_z_m(),
         lambda row: realtouch.TouchClip(row, 0),
     ):
         with pytest.raises(InputError, match="no column 'video_length_frames'"):

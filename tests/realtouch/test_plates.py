@@ -86,7 +86,7 @@ def test_a_rendered_round_without_a_stored_plate_has_the_known_one(truth, tmp_pa
     made_by_us = pa.array([[0.0, 0.0, 0.0]] * 2, pa.list_(pa.float64()))
     pq.write_table(table.append_column("info.touched_object_pose.position", made_by_us), path)
     dataset = realtouch.load(tmp_path, "train")
-    z_m = [each.row.contact_z_m("single") for each in dataset]
+    z_m = [each.row.contact_z_m() for each in dataset]
     expected = np.concatenate([z_m[0] - 0.001, z_m[1] - PRESS_DEPTH_M])
     np.testing.assert_array_equal(dataset.touches().heights_m(), expected)
 
