@@ -24,6 +24,7 @@ IMPORT_LAYOUTS = (
     "oxt",
     "replay",
     "hdf5",
+    "rosbag",
     "fota",
     "anytouch",
 )

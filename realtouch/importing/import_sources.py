@@ -350,6 +350,7 @@ IMPORTS: dict[str, ImportFormat] = {
     "oxt": _recordings("zarr_recordings:find_oxt", rotvec=True),
     "replay": _recordings("zarr_recordings:find_replay"),
     "hdf5": _recordings("hdf5:find_hdf5"),
+    "rosbag": _recordings("ros_bags:find_rosbag"),
     "fota": _images("tar_samples:find_fota"),
     "anytouch": replace(_images("media_files:find_anytouch"), has_table=True, names_pictures=False),
 }

@@ -19,6 +19,9 @@ from realtouch.video import video_files
 from tactile_toolkit import errors, places, store, wording
 from tactile_toolkit.columns import known_formats, tables
 
+BAG_ENDINGS = (".mcap", ".bag", ".bag.active", ".db3")
+"""Endings of the names of ROS bags, in lower case; one is that of a recorder of ROS 1 that was stopped."""
+
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
 _MAX_DEPTH = 3
@@ -37,6 +40,7 @@ _FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
     "flat": ((0, b"PAR1"),),
     "webdataset": ((_TAR_OFFSET, b"ustar"),),
     "replay": ((0, _ZIP),),
+    "rosbag": ((0, b"\x89MCAP0\r\n"), (0, b"#ROSBAG V2.0\n"), (0, b"SQLite format 3\0")),
 }
 _OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
 _ZARR_MARKS = (".zgroup", "zarr.json")
@@ -71,6 +75,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("fota", re.compile(r"^(\w+/)?count\.txt\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends_with(".h5", ".hdf5")),
+    ("rosbag", _ends_with(*BAG_ENDINGS)),
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
     ("folder", _ends_with(*source_files.IMAGE_ENDINGS)),
     ("flat", _ends_with(".parquet")),
@@ -128,12 +133,9 @@ _STEPS = {
     "`--format folder` imports the images beside it",
     "numpy": 'write its arrays to an HDF5 file, by python -c "import h5py, numpy; '
     "h5py.File('arrays.hdf5', 'w').update({array})\", and import that with --map image=NAME",
-    "bag": "write the pictures of a topic to files, and a table with their names (`file`) and times "
-    "(`stamp_ns`), other topics to tables with times, and import the folder with --table PICTURES "
-    "--map time=stamp_ns --stream OTHERS; `pip install rosbags` reads bags without ROS",
 }
 # Keys of formats that are read, in some or all cases.
-_READ = ("hdf5", "parquet", "archive", "gzip", "video", "json", "pixels")
+_READ = ("bag", "hdf5", "parquet", "archive", "gzip", "video", "json", "pixels")
 
 
 def reason_unread(path: str, layout: str) -> str:

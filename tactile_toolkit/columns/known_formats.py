@@ -17,9 +17,7 @@ _START_BYTES = 1 << 10
 
 _Test = Callable[[bytes], object]
 _PICTURES = "write its pictures as PNG files, and their labels or values as a CSV table"
-_BAG = (
-    "write its images as files and its messages as CSV tables; `pip install rosbags` reads bags without ROS"
-)
+_BAG = "`realtouch import` reads the pictures of its topics"
 _DIGITS = f"digits of 28 x 28 pixels are read by `mnist3d generate --source table`; else {_PICTURES}"
 _SHEET = "save each sheet as CSV in UTF-8"
 _DRAWING = "draw it as a picture, black on white, and save that as PNG"
@@ -105,7 +103,7 @@ KNOWN_FORMATS = (
         "lfs", "a pointer of Git LFS", "fetch the file by `git lfs pull`", _text(rb"version https://git-lfs")
     ),
     KnownFormat("html", "a web page", "download the file itself", _text(rb"<!doctype html|<html")),
-    KnownFormat("bag", "a ROS bag", _BAG, _bytes(b"#ROSBAG", b"\x89MCAP"), (".bag", ".mcap", ".db3")),
+    KnownFormat("bag", "a ROS bag", _BAG, _bytes(b"#ROSBAG", b"\x89MCAP")),
     KnownFormat("bag", "a ROS bag or another SQLite database", _BAG, _bytes(b"SQLite format 3\0")),
     KnownFormat(
         "matlab",

@@ -31,6 +31,7 @@ FILES = {
     "oxt": ("b.zarr/data/left_tactile_type_gel/.zarray", b"{}"),
     "anytouch": ("train_bg.txt", b""),
     "fota": ("train/count.txt", b"1"),
+    "rosbag": ("run/run_0.mcap", b"\x89MCAP0\r\n"),
 }
 OTHERS = {"pickle": ("dataset_0.pkl", b"\x80\x04"), "text": ("notes.txt", b"hello")}
 
@@ -57,7 +58,7 @@ def test_a_folder_is_recognised(layout: str, tmp_path: Path) -> None:
     assert found.by in path.as_posix()
 
 
-@pytest.mark.parametrize("layout", ["video", "hdf5", "flat", "webdataset"])
+@pytest.mark.parametrize("layout", ["video", "hdf5", "flat", "webdataset", "rosbag"])
 @pytest.mark.parametrize("name", ["as it was", "renamed.bin"])
 def test_a_file_is_recognised_by_how_it_begins(layout: str, name: str, tmp_path: Path) -> None:
     path = place(tmp_path, layout)
@@ -112,9 +113,6 @@ def test_a_set_needs_no_import(single_folder: Path, tmp_path: Path) -> None:
 
 
 FOREIGN = {
-    "run.bag": (b"#ROSBAG V2.0\n", "is a ROS bag; next: write the pictures of a topic to files, and a table"),
-    "run_0.mcap": (b"\x89MCAP0\r\n", "is a ROS bag"),
-    "run_0.db3": (b"SQLite format 3\0", "is a ROS bag"),
     "trial.mat": (b"MATLAB 5.0 MAT-file", "is a file of MATLAB; next: read it by scipy.io"),
     "poses.npy": (b"\x93NUMPY\x01\x00", "is a file of NumPy; next: write its arrays to an HDF5 file"),
     "sheet.xlsx": (b"PK\x03\x04", "is a workbook of Excel; next: save each sheet as CSV"),
