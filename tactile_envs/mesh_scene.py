@@ -17,7 +17,7 @@ from tactile_envs.drawing import EnvDrawing
 from tactile_envs.motion import Motion, Rows
 from tactile_envs.touch_kernels import Cells, SensorReadings
 from tactile_sim import Sensor
-from tactile_sim.elastic.contact import GelLoad
+from tactile_sim.elastic.contact import GelLoad, GelSurface
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_sim.sets.touched_solids import content_fingerprint
@@ -336,7 +336,7 @@ class ElasticGel:
         share = (sensors - motion.low_m) / (motion.high_m - motion.low_m) * 2.0 - 1.0
         readings = SensorReadings(
             self._shown.depth_image(depths_m),
-            depths_m.astype(np.float32),
+            depths_m.astype(np.float32).view(GelSurface),
             np.clip(share, -1.0, 1.0).astype(np.float32),
             np.zeros(count, np.bool_),  # an elastic gel is solved for touches of the plate, too
         )

@@ -189,7 +189,6 @@ class Camera:
         self._size = config.sensor_output_size
         self.sensor = config.sensor(self._optics.depth_size(*self._size))
         self._plate_m = max(self.sensor.press_m, config.least_height_m)
-        self._is_surface = config.elastic_gel is not None
         self._behind: Float32 | None = None
         self._bare: dict[int, Float32] = {}
 
@@ -234,4 +233,4 @@ class Camera:
         depth_m = depths_m.astype(np.float64)
         if self._behind is not None:
             np.minimum(depth_m, self._behind[bases], out=depth_m)
-        return self._optics.shades(depth_m, self.sensor, self._size, is_surface=self._is_surface)
+        return self._optics.shades(depth_m, self.sensor, self._size)

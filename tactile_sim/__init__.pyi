@@ -6,8 +6,8 @@ from .elastic.contact import (
     GelLoad as GelLoad,
     solve_contact as solve_contact,
 )
+from .elastic.modulus import GelFit as GelFit, fit_youngs_modulus as fit_youngs_modulus
 from .press.elastic_press import (
-    fit_youngs_modulus as fit_youngs_modulus,
     marker_grid_px as marker_grid_px,
     marker_positions_px as marker_positions_px,
 )

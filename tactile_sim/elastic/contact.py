@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -103,6 +104,14 @@ class GelLoad:
                 "depth_m",
                 next="give force_n=5.0, for example",
             )
+
+
+class GelSurface(np.ndarray[tuple[int, ...], np.dtype[np.floating[Any]]]):
+    """Depth map of the surface of an elastic gel, metres, which optics show as it is.
+
+    Other depth maps are those of a solid, around which optics smooth the gel. Parts of a map and sums of maps
+    stay surfaces.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tactile_sim.elastic.contact import GelSurface
 from tactile_sim.press.sensors import OPTICS, Sensor, checked_size_px
 from tactile_sim.user_values import is_real_array, shown
 from tactile_toolkit import touch
@@ -64,13 +65,12 @@ class Optics(ABC):
             )
         return width, height
 
-    def shades(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
-    ) -> Float32:
+    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
 
         They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
-        With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed again.
+        The gel is smoothed around the solid that they show, unless they are those of an elastic gel
+        (a ``GelSurface``).
         InputError for maps of another shape, smaller than ``min_side_px``, or not within 10 m, and for sizes
         that no image has.
         """
@@ -83,22 +83,21 @@ class Optics(ABC):
         # Kernels look values up by place in a table, so each of them must be a number.
         if depth_m.size and not (depth_m.min() > -_FARTHEST_M and depth_m.max() < _FARTHEST_M):
             raise InputError(f"depth maps hold values that are not within {_FARTHEST_M:g} m")
-        return self._shades(depth_m, sensor, checked_size_px(size_px), is_surface=is_surface)
+        is_surface = isinstance(depth_m, GelSurface)
+        return self._shades(np.asarray(depth_m), sensor, checked_size_px(size_px), is_surface=is_surface)
 
     @abstractmethod
     def _shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
     ) -> Float32:
-        """Return :meth:`shades` of maps that were checked."""
+        """Return :meth:`shades` of checked maps, of a solid or (``is_surface``) of an elastic gel."""
 
-    def render(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
-    ) -> UInt8:
+    def render(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> UInt8:
         """Return pictures (n, H, W, 3), uint8, in the requested size, of depth maps (n, h, w), metres.
 
-        ``is_surface`` is as for :meth:`shades`.
+        Maps and errors are as for :meth:`shades`.
         """
-        shades = self.shades(depth_m, sensor, size_px, is_surface=is_surface)
+        shades = self.shades(depth_m, sensor, size_px)
         # In place: fresh memory takes longer than the products.
         shades *= np.float32(255)
         return scaled(np.rint(shades, out=shades).astype(np.uint8), size_px)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tactile_sim.elastic.contact import ElasticContact, Gel, GelLoad, require_solved, solve_unjudged
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD, checked_markers
-from tactile_sim.press.sensors import Sensor, checked_size_px, full_view
+from tactile_sim.press.sensors import Sensor, checked_size_px
 from tactile_sim.user_values import finite_array, read_values, real_array, shown
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
@@ -24,8 +24,6 @@ MAX_SHARE = 0.5
 _SOLVED_M = 0.00024
 _SAME = 1 + 1e-9  # sides that differ only by rounding
 _SLIP_REACH_M = 0.003  # distance at which the slip of a contact has decayed; slides are at most a third
-_REFERENCE_PA, _REFERENCE_N = 1e6, 1.0
-_MAX_NUMBER = 1e6  # metres or newtons of a measured press
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
 _MARKER_RADIUS = 0.18  # of the distance of two markers: about that of the dots of a GelSight Mini
 _MARKER_SHADE = 0.15  # share of the light that a marker reflects
@@ -214,62 +212,6 @@ def loads_of(load: GelLoad, count: int, sensor: Sensor) -> list[GelLoad]:
         replace(load, **{name: number}, slide_m=(x, y), twist_rad=twist)
         for number, (x, y), twist in zip(numbers.tolist(), slides.tolist(), twists.tolist(), strict=True)
     ]
-
-
-def fit_youngs_modulus(
-    depth_m: ArrayLike,
-    force_n: ArrayLike,
-    sensor: Sensor | None = None,
-    *,
-    poisson_ratio: float = 0.49,
-    friction: float = 0.5,
-) -> float:
-    """Find Young's modulus of a gel from presses onto the bare plate.
-
-    On a plate that is larger than the gel, force is proportional to depth and to the modulus. Only the slope
-    is used, so the depth may be measured from any zero. Poisson's ratio must be known: a gel that is
-    bonded to its window is twice as stiff at 0.49 as at 0.4.
-
-    Parameters
-    ----------
-    depth_m : array_like, shape (n,)
-        How far the sensor came down, metres, from any zero; two different depths or more, each in contact
-        with the whole gel.
-    force_n : array_like, shape (n,)
-        Normal force then, newtons.
-    sensor : Sensor, optional
-        Thickness and size of the gel; a GelSight Mini by default.
-    poisson_ratio, friction : float
-        The other properties of the gel, see :class:`tactile_sim.Gel`.
-
-    Returns
-    -------
-    float
-        Young's modulus, Pa.
-
-    Raises
-    ------
-    InputError
-        Fewer than two depths, numbers that are not finite, or forces that do not grow with depth.
-    """
-    expected = f"finite numbers, one for each press, at most {_MAX_NUMBER:g}"
-    depths = finite_array(depth_m, "depth_m", (None,), expected, most=_MAX_NUMBER)
-    forces = finite_array(force_n, "force_n", (None,), expected, most=_MAX_NUMBER)
-    if len(depths) != len(forces) or len(np.unique(depths)) < 2:
-        raise InputError(
-            f"depth_m has {len(np.unique(depths))} depths and {len(depths)} numbers, force_n {len(forces)}; "
-            "expected as many numbers each, of two depths or more"
-        )
-    slope = float(np.polyfit(depths, forces, 1)[0])
-    if slope <= 0:
-        raise InputError(
-            "the force does not grow with the depth; expected depths that grow into the gel, metres",
-            next="change the sign of depth_m",
-        )
-    sensor = sensor or full_view()
-    gel = Gel(_REFERENCE_PA, poisson_ratio, friction)
-    deep_m = sensor.gel_m - plate_z_m(sensor, GelLoad(_REFERENCE_N, gel=gel))
-    return _REFERENCE_PA * slope * deep_m / _REFERENCE_N
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:

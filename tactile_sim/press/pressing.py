@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic.contact import ElasticContact, GelLoad
+from tactile_sim.elastic.contact import ElasticContact, GelLoad, GelSurface
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
@@ -50,9 +50,7 @@ class HasAsMatrix(Protocol):
 class Renderer(Protocol):
     """Optics, such as :func:`tactile_sim.make_optics` returns."""
 
-    def render(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
-    ) -> UInt8:
+    def render(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> UInt8:
         """Return pictures (n, H, W, 3) of depth maps (n, h, w), metres."""
 
 
@@ -155,8 +153,8 @@ class Pressed:
         Height of the sensor where it stops, metres, cell frame.
     contacts : tuple of ElasticContact
         Those of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
-        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges. Empty for
-        other gels.
+        ``depth_m`` is then the surface of the gel, a ``GelSurface``, greater than its thickness where it
+        bulges. Empty for other gels.
     """
 
     depth_m: Float64
@@ -180,8 +178,7 @@ class Pressed:
         ``sensor`` is that of the press, ``size_px`` the width and height of the images. InputError if the
         optics do not make such images.
         """
-        depths_m = self.depth_m.reshape(-1, *self.depth_m.shape[-2:])
-        return optics.render(depths_m, sensor, size_px, is_surface=bool(self.contacts))
+        return optics.render(self.depth_m.reshape(-1, *self.depth_m.shape[-2:]), sensor, size_px)
 
 
 def render_touch(
@@ -301,7 +298,7 @@ def _press_elastic(setup: _Setup, loads: Sequence[GelLoad], sensor: Sensor) -> P
         scene.raise_heights(touch, heights_m)
         contacts.append(whole.press(heights_m, load, depths_m[touch]))
         stops_m[touch] = heights_m.max() + sensor.gel_m - contacts[-1].depth_m
-    return Pressed(depths_m, sensor.depth_image(depths_m), stops_m, tuple(contacts))
+    return Pressed(depths_m.view(GelSurface), sensor.depth_image(depths_m), stops_m, tuple(contacts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

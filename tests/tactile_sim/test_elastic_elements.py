@@ -1,4 +1,4 @@
-"""The elastic gel and finite elements of the layer, under patches of digits: without friction, and stuck."""
+"""The elastic gel and finite elements: of the layer under patches of digits, and of a pad with free sides."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.sparse import bmat
 from scipy.sparse.linalg import splu
 
 import mnist3d
@@ -34,6 +35,14 @@ def is_odd(axis, load_axis, plane):
     return (axis == plane) != (load_axis == plane)
 
 
+def axes_of(basis):
+    """Return the axis of each displacement of the elements."""
+    axis = np.empty(basis.N, int)
+    for number, name in enumerate(("u^1", "u^2", "u^3")):
+        axis[basis.get_dofs(elements=True).all([name])] = number
+    return axis
+
+
 @cache
 def response_of_a_pixel(load_axis):
     """Return the elements, and the displacement of their points by a force of 1 N, spread over a pixel.
@@ -54,9 +63,7 @@ def response_of_a_pixel(load_axis):
     )
     face = skfem.FacetBasis(mesh, basis.elem, facets=under, intorder=4)
     load = skfem.LinearForm(lambda v, _: v[load_axis] / PIXEL_M**2).assemble(face)
-    at, axis = basis.doflocs, np.empty(matrix.shape[0], int)
-    for number, name in enumerate(("u^1", "u^2", "u^3")):
-        axis[basis.get_dofs(elements=True).all([name])] = number
+    at, axis = basis.doflocs, axes_of(basis)
     fixed = at[2] > LAYER_M - 1e-9
     for plane in (0, 1):
         fixed |= (at[plane] < 1e-9) & is_odd(axis, load_axis, plane)
@@ -138,3 +145,99 @@ def test_finite_elements_give_the_same_force_and_surface(patch, friction, compli
     assert 0.15 < contact.is_contact.mean() < 0.7
     assert contact.force_n[2] == pytest.approx(force_n, rel=0.02)
     assert np.abs(contact.displacement_m[..., 2].ravel() - sunk_m).max() < 10e-6
+
+
+PAD_M = (18.88e-3, 14.16e-3)  # a GelSight Mini whose gel ends where its image does
+
+
+def pad_compliance(sides, poisson, reach_m=1.0):
+    """Return points of the upper face, (2, n), and their displacements by forces on each, (3, n, 3, n).
+
+    The points within a reach from the centre are taken.
+
+    A quarter of a pad, whose base is fixed and whose sides are free: quadratic hexahedra of these sides,
+    with linear pressures, so that a nearly incompressible pad does not lock.
+    """
+    from skfem.helpers import ddot, div, sym_grad
+
+    z = LAYER_M * np.array([0.0, 0.1, 0.3, 0.65, 1.0])
+    basis = skfem.Basis(
+        skfem.MeshHex.init_tensor(*sides, z), skfem.ElementVector(skfem.ElementHex2()), intorder=4
+    )
+    pressures = basis.with_element(skfem.ElementHex1())
+    shear = E_PA / (2 * (1 + poisson))
+    lame = 2 * shear * poisson / (1 - 2 * poisson)
+    bent = skfem.BilinearForm(lambda u, v, _: 2 * shear * ddot(sym_grad(u), sym_grad(v))).assemble(basis)
+    pushed = skfem.BilinearForm(lambda u, q, _: -div(u) * q).assemble(basis, pressures)
+    squeezed = skfem.BilinearForm(lambda p, q, _: p * q / lame).assemble(pressures)
+    matrix = bmat([[bent, pushed.T], [pushed, -squeezed]]).tocsc()
+    at, axis = basis.doflocs, axes_of(basis)
+    fixed = at[2] > LAYER_M - 1e-9
+    for plane in (0, 1):
+        fixed |= (at[plane] < 1e-9) & (axis == plane)
+    moves = np.flatnonzero(~np.append(fixed, np.zeros(pressures.N, bool)))
+    upper = np.flatnonzero((at[2] < 1e-9) & (np.hypot(at[0], at[1]) < reach_m))
+    # The same points along each axis, and each point once.
+    upper = upper[np.lexsort((at[1, upper], at[0, upper], axis[upper]))].reshape(3, -1)
+    loads = np.zeros((matrix.shape[0], upper.size))
+    loads[upper.ravel(), np.arange(upper.size)] = 1.0
+    moved = np.zeros_like(loads)
+    moved[moves] = splu(matrix[moves][:, moves]).solve(loads[moves])
+    return at[:2, upper[2]], moved[upper.ravel()].reshape(3, upper.shape[1], 3, -1)
+
+
+def plate_force(compliance, friction):
+    """Return the force of a quarter of a pad that a plate presses in by DEPTH_M, with Coulomb's law."""
+    count = compliance.shape[1]
+    flat = compliance.reshape(3 * count, 3 * count)
+    aside, inward = slice(0, 2 * count), slice(2 * count, None)
+    stiff = np.linalg.inv(flat[inward, inward])
+    held = flat[aside, aside] - flat[aside, inward] @ stiff @ flat[inward, aside]
+    slides = flat[aside, inward] @ stiff @ np.full(count, DEPTH_M)
+    size = np.tile(np.diag(held).reshape(2, count).max(axis=0), 2)
+    size[size == 0] = size.max()  # the middle, which does not move
+    step = 1 / (size * np.linalg.eigvalsh(held / np.sqrt(np.outer(size, size))).max())
+    traction = np.zeros(2 * count)
+    for _ in range(30):
+        normal = stiff @ (DEPTH_M - flat[inward, aside] @ traction)
+        before, ahead, gain = traction, traction, 1.0
+        for _ in range(600):
+            tried = (ahead - step * (held @ ahead + slides)).reshape(2, count)
+            tried *= np.minimum(1, friction * normal / np.maximum(np.hypot(*tried), 1e-30))
+            next_gain = (1 + np.sqrt(1 + 4 * gain**2)) / 2
+            ahead = tried.ravel() + (gain - 1) / next_gain * (tried.ravel() - traction)
+            traction, gain = tried.ravel(), next_gain
+        if np.abs(traction - before).max() < 1e-4 * np.abs(traction).max(initial=1e-30):
+            break
+    return normal.sum()
+
+
+@cache
+def pad_under_a_plate(poisson):
+    grades = 1 - (1 - np.linspace(0, 1, 7)) ** 1.8  # smaller towards the free sides
+    return pad_compliance([side / 2 * grades for side in PAD_M], poisson)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.parametrize("poisson", [0.45, 0.49, 0.4999])
+def test_the_modulus_of_a_pad_under_a_plate_is_that_of_the_elements(poisson, friction):
+    _, compliance = pad_under_a_plate(poisson)
+    force_n = 4 * plate_force(compliance, friction)
+    presses = {"depth_m": [0, DEPTH_M], "force_n": [0, force_n], "thickness_m": LAYER_M}
+    fit = tactile_sim.fit_youngs_modulus(**presses, pad_m=PAD_M, poisson_ratio=poisson, friction=friction)
+    assert fit.gel.youngs_modulus_pa == pytest.approx(E_PA, rel=0.03)
+    assert "sides are free" in fit.assumption
+
+
+@pytest.mark.parametrize("poisson", [0.45, 0.4999])
+def test_the_modulus_by_a_ball_in_the_middle_of_a_pad_is_that_of_the_elements(poisson):
+    sides = [np.append(np.arange(7) * 3e-4, [2.6e-3, 4e-3, side / 2]) for side in PAD_M]
+    at_m, compliance = pad_compliance(sides, poisson, 1.8e-3)
+    radius_m = 4e-3
+    below_m = radius_m - np.sqrt(radius_m**2 - (at_m**2).sum(axis=0))
+    depths_m = np.linspace(2e-4, 6e-4, 5)
+    forces_n = [4 * elements(compliance, depth_m - below_m, is_stuck=False)[0] for depth_m in depths_m]
+    presses = {"depth_m": depths_m, "force_n": forces_n, "thickness_m": LAYER_M, "ball_radius_m": radius_m}
+    fit = tactile_sim.fit_youngs_modulus(**presses, pad_m=PAD_M, poisson_ratio=poisson, friction=0.0)
+    assert fit.gel.youngs_modulus_pa == pytest.approx(E_PA, rel=0.05)
+    assert "without sides" in fit.assumption

@@ -84,7 +84,14 @@ CALLS: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
     ),
     "fit_youngs_modulus": (
         tactile_sim.fit_youngs_modulus,
-        {"depth_m": [0.0, 1e-4], "force_n": [0.0, 1.0], "sensor": SENSOR},
+        {
+            "depth_m": [0.0, 1e-4],
+            "force_n": [0.0, 1.0],
+            "thickness_m": 4e-3,
+            "pad_m": (0.02, 0.02),
+            "ball_radius_m": None,
+            "post_radius_m": None,
+        },
     ),
     "marker_grid_px": (tactile_sim.marker_grid_px, {"markers": (2, 3), "size_px": (32, 24)}),
     "marker_positions_px": (
@@ -171,7 +178,7 @@ CALLS: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
     **{
         f"{name} render": (
             optics.render,
-            {"depth_m": DEPTH_M, "sensor": SENSOR, "size_px": (32, 24), "is_surface": False},
+            {"depth_m": DEPTH_M, "sensor": SENSOR, "size_px": (32, 24)},
         )
         for name, optics in OPTICS.items()
     },
@@ -186,7 +193,7 @@ OBJECTS = (bool, tactile_sim.Pressable, tactile_sim.Recordings, type(ball()))
 
 
 NOT_TRIED = {
-    *("ElasticContact", "Pressed", "Mistake", "SensorHealth", "TouchPreview"),  # results
+    *("ElasticContact", "GelFit", "Pressed", "Mistake", "SensorHealth", "TouchPreview"),  # results
     "GelLoad",  # is checked where it is used
     *("TouchGenerator", "PairGenerator", "generate", "make_pairs"),  # take specifications and names
     *("read_recordings", "images_of"),  # take names

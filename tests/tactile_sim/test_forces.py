@@ -15,6 +15,7 @@ import realtouch
 import tactile_sim
 from realtouch.touch_previews import force_views
 from tactile_sim import ElasticPress, Gel, TouchPlan, TouchSetSpec, center_view, full_view, pose
+from tactile_sim.elastic.contact import GelSurface
 from tactile_sim.optics.rendering import make_optics
 from tactile_sim.press.elastic_press import draw_markers
 from tactile_toolkit.errors import InputError
@@ -403,32 +404,56 @@ def test_the_commands_press(tmp_path, capsys):
     assert (np.abs(record.extra["twist_rad"]) <= np.radians(5)).all()
 
 
-def test_the_modulus_of_a_gel_follows_from_presses_on_the_plate():
+PAD = {"thickness_m": 0.00425, "pad_m": (0.025, 0.02), "poisson_ratio": 0.48}
+
+
+@pytest.mark.parametrize(
+    ("indenter", "radius_m", "error"), [("ball_radius_m", 0.006, 0.03), ("post_radius_m", 0.002, 0.01)]
+)
+def test_the_modulus_of_a_gel_follows_from_presses_of_a_ball_or_a_post(indenter, radius_m, error):
     """Synthetic recordings at known depths, with noise and from an unknown zero."""
-    sensor, true = full_view(40, 30), Gel(0.31e6, 0.48)
-    depths_m = np.linspace(5e-5, 3e-4, 8)
-    pressed = tactile_sim.render_touch(
-        block((0.1, 0.1, 0.01)),
-        pose(),
-        pose(),
-        sensor,
-        load=tactile_sim.GelLoad(depth_m=float(depths_m[-1]), gel=true),
-    )
-    per_m = pressed.contact.force_n[2] / depths_m[-1]
-    noise_n = np.random.default_rng(1).normal(0, 0.02, 8)
-    found_pa = tactile_sim.fit_youngs_modulus(
-        depths_m + 0.0123, per_m * depths_m + noise_n, sensor, poisson_ratio=0.48
-    )
-    assert found_pa == pytest.approx(0.31e6, rel=0.01)
-    for depths, forces, told in (
-        ([1e-4], [1.0], "two depths or more"),
-        ([1e-4, 1e-4], [1.0, 1.0], "two depths or more"),
-        ([1e-4, 2e-4], [1.0, np.nan], "finite numbers"),
-        ([2e-4, 1e-4], [1.0, 2.0], "does not grow"),
-        ("deep", [1.0], "finite numbers"),
-    ):
-        with pytest.raises(InputError, match=told):
-            tactile_sim.fit_youngs_modulus(depths, forces, sensor)
+    true = Gel(0.31e6, 0.48)
+    x_m = np.linspace(-5e-3, 5e-3, 161)
+    away_m = np.hypot(x_m[:, None], x_m)
+    if indenter == "ball_radius_m":
+        heights_m = np.sqrt(np.maximum(radius_m**2 - away_m**2, 0.0))
+    else:
+        heights_m = np.where(away_m < radius_m, 0.0, -0.01)
+    depths_m = np.linspace(2e-4, 1e-3, 8)
+    forces_n = [
+        tactile_sim.solve_contact(
+            heights_m, x_m[1] - x_m[0], tactile_sim.GelLoad(depth_m=deep_m, gel=true), thickness_m=0.00425
+        ).force_n[2]
+        for deep_m in depths_m
+    ]
+    noise_n = np.random.default_rng(1).normal(0, 0.01, 8)
+    presses = {"depth_m": depths_m + 0.0123, "force_n": forces_n + noise_n, indenter: radius_m}
+    fit = tactile_sim.fit_youngs_modulus(**presses, **PAD)
+    assert fit.gel.youngs_modulus_pa == pytest.approx(0.31e6, rel=error)
+    assert (fit.gel.poisson_ratio, fit.gel.friction) == (0.48, 0.5)
+    assert "without sides" in fit.assumption
+    with pytest.raises(InputError, match="the sides of the gel soften"):
+        tactile_sim.fit_youngs_modulus(**presses, **{**PAD, "pad_m": (0.013, 0.011)})
+
+
+@pytest.mark.parametrize(
+    ("depths_m", "forces_n", "indenter", "message"),
+    [
+        ([1e-4], [1.0], {}, "2 depths or more"),
+        ([1e-4, 1e-4], [1.0, 1.0], {}, "2 depths or more"),
+        ([1e-4, 2e-4], [1.0, 2.0], {"ball_radius_m": 0.004}, "3 depths or more"),
+        ([1e-4, 2e-4], [1.0, np.nan], {}, "finite numbers"),
+        ([2e-4, 1e-4], [1.0, 2.0], {}, "does not grow"),
+        ("deep", [1.0], {}, "finite numbers"),
+        ([1e-4, 2e-4], [1.0, 2.0], {"pad_m": (0.01, 0.0)}, "at least 1e-05"),
+        ([1e-4, 2e-4], [1.0, 2.0], {"ball_radius_m": 0.004, "post_radius_m": 0.004}, "one of them"),
+        ([1e-4, 2e-4, 3e-4], [0.0, 0.2, 1.0], {"ball_radius_m": 0.004}, "of a ball that touches"),
+        ([1e-3, 2e-3, 5e-3], [0.1, 0.4, 2.2], {"ball_radius_m": 0.004}, "half of the gel"),
+    ],
+)
+def test_presses_that_give_no_modulus_are_refused(depths_m, forces_n, indenter, message):
+    with pytest.raises(InputError, match=message):
+        tactile_sim.fit_youngs_modulus(depths_m, forces_n, **{**PAD, **indenter})
 
 
 def test_taxim_shows_the_surface_and_does_not_smooth_it():
@@ -436,15 +461,16 @@ def test_taxim_shows_the_surface_and_does_not_smooth_it():
     sensor, optics = center_view(64, 64), make_optics("taxim")
     rest = np.full((1, 64, 64), sensor.gel_m)
     plain = optics.render(rest, sensor, (64, 64))
-    assert (optics.render(rest, sensor, (64, 64), is_surface=True) == plain).all()
+    assert (optics.render(rest.view(GelSurface), sensor, (64, 64)) == plain).all()
     pressed = _press(ball(), sensor, force_n=5.0)
     smoothed, shown = (
-        optics.render(pressed.depth_m[None], sensor, (64, 64), is_surface=each)[0].astype(int)
-        for each in (False, True)
+        optics.render(depth_m[None], sensor, (64, 64))[0].astype(int)
+        for depth_m in (np.array(pressed.depth_m), pressed.depth_m)
     )
+    assert (pressed.render(optics, sensor, (64, 64))[0] == shown).all()
     assert np.abs(smoothed - shown).max() > 5
     # A bulge is visible, which Taxim would smooth away and a gel that is cut off at rest would not show.
     bulge = pressed.depth_m > sensor.gel_m + 2e-5
     flat = np.minimum(pressed.depth_m, sensor.gel_m)[None]
-    below = optics.render(flat, sensor, (64, 64), is_surface=True)[0].astype(int)
+    below = optics.render(flat, sensor, (64, 64))[0].astype(int)
     assert np.abs(shown - below)[bulge].max() > 3
