@@ -74,16 +74,16 @@ def taxim_package() -> TaximPackage:
     settings = json.loads((folder / "params.json").read_text())
     simulator = settings["simulator"]
     sensor = settings["sensor"]
+    with np.load(folder / "polycalib.npz") as gradients:
+        # Blue and red are exchanged in the file.
+        colours = np.stack([gradients[f"grad_{colour}"] / 255 for colour in "bgr"], axis=3)
     # Pickled objects are allowed: the package's own files hold shadows as lists of Python objects.
-    gradients, stored = (
-        np.load(folder / f"{name}.npz", allow_pickle=True) for name in ("polycalib", "shadowTable")
-    )
-    # Blue and red are exchanged in the file.
-    colours = np.stack([gradients[f"grad_{colour}"] / 255 for colour in "bgr"], axis=3)
-    directions = np.asarray(stored["shadowDirections"], np.float64)
+    with np.load(folder / "shadowTable.npz", allow_pickle=True) as stored:
+        directions = np.asarray(stored["shadowDirections"], np.float64)
+        shadows = stored["shadowTable"]
     calibration = Calibration(
         np.ascontiguousarray(colours.reshape(-1, 18)),
-        *_shadow_tables(simulator, directions, stored["shadowTable"][::-1]),
+        *_shadow_tables(simulator, directions, shadows[::-1]),
         len(colours),
         sensor["pixmm"],
         sensor["w"],
@@ -98,7 +98,8 @@ def taxim_package() -> TaximPackage:
     size = (sensor["h"], sensor["w"])
     gel = np.load(folder / "gelmap.npy").astype(np.float64)
     gel_mm = _blurred(gel, _kernels(simulator["deform_final_sigma_rel"], *size)) * sensor["pixmm"]
-    frame = np.load(folder / "dataPack.npz")["f0"][..., ::-1] / 255
+    with np.load(folder / "dataPack.npz") as photographs:
+        frame = photographs["f0"][..., ::-1] / 255
     frame_blur = _kernels(simulator["initial_frame_sigma_rel"], *size)
     smooth = np.stack([_blurred(frame[..., colour], frame_blur) for colour in range(3)], axis=2)
     share = simulator["frame_mixing_percentage"]
