@@ -7,28 +7,20 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from tactile_sim.press.press_spec import ElasticPress
+from tactile_sim.press.sensors import GELSIGHT_MINI, OPTICS, SENSORS, SensorModel, checked_sensor
 from tactile_toolkit import checked_fields, store, touch
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.value_types import JsonDict, JsonObject
-
-if TYPE_CHECKING:
-    from tactile_sim.optics.sensor_noise import SensorNoise
-
-
-from collections.abc import Sequence
-from dataclasses import field
-from importlib.util import find_spec
-from typing import TYPE_CHECKING
-
-from tactile_sim.press.press_spec import ElasticPress
-from tactile_sim.press.sensors import GELSIGHT_MINI, OPTICS, SENSORS, SensorModel, checked_sensor
-from tactile_toolkit.touch import size_option
 
 if TYPE_CHECKING:
     from tactile_sim.optics.sensor_noise import SensorNoise
@@ -80,13 +72,12 @@ def _turn_rad(word: str) -> float:
     return TURNS[word]
 
 
-def _layer_m(words: str) -> float:
+def _metres(name: str, words: str) -> float:
+    """Return millimetres of an option as metres; ``name`` is the field."""
     try:
-        layer_m = float(words) / 1e3
+        return float(words) / 1e3
     except ValueError:
-        raise InputError(f"is {words!r}; expected a number", field="layer_m") from None
-    checked: float = _checked_layer_m(layer_m)
-    return checked
+        raise InputError(f"is {words!r}; expected a number", field=name) from None
 
 
 @dataclass(frozen=True)
@@ -231,7 +222,7 @@ class TouchSetSpec:
         of these the first ``per_class`` of each class of a split; then ``limit``.
     """
 
-    size_px: tuple[int, int] = size_option((64, 64), shown="64x64")
+    size_px: tuple[int, int] = touch.size_option((64, 64), shown="64x64")
     optics: str = choice(
         "taxim",
         OPTICS,
@@ -266,7 +257,7 @@ class TouchSetSpec:
         name="--layer-mm",
         metavar="MM",
         shown="0, smooth",
-        read=_layer_m,
+        read=partial(_metres, "layer_m"),
         panel="Images",
         help="Render a printed surface with layers of this height.",
     )
@@ -329,10 +320,8 @@ class TouchSetSpec:
                 f"the press is {press_m[1]:g} m deep; expected less than the gel is thick, {gel_m:g} m",
                 next="give a smaller depth (--press-mm)",
             )
-        width, height = self.size_px
-        if self.window == "full":
-            width = self.sensor.width_px
-            height = self.sensor.height_px
+        is_full = self.window == "full"
+        width, height = (self.sensor.width_px, self.sensor.height_px) if is_full else self.size_px
         most = _MAX_ELASTIC_PIXELS // (width * height)
         if self.plan.touches > most:
             raise InputError(
@@ -358,9 +347,6 @@ class TouchSetSpec:
         network: JsonDict = {"weights_sha256": None}
         if self.optics == "cyclegan":
             network = _weights_facts(self.weights)
-        noise = None
-        if self.noise is not None:
-            noise = self.noise.to_dict()
         sensor: JsonDict = {}
         if self.has_other_sensor:
             sensor = {"sensor": self.sensor.to_dict()}
@@ -376,17 +362,10 @@ class TouchSetSpec:
             **network,
             "limit": self.limit,
             "layer_m": self.layer_m,
-            "noise": noise,
+            "noise": None if self.noise is None else self.noise.to_dict(),
             **sensor,
             **self.chosen,
         }
-
-
-def _metres(words: str) -> float:
-    try:
-        return float(words) / 1e3
-    except ValueError:
-        raise InputError(f"is {words!r}; expected a number", field="min_height_m") from None
 
 
 @dataclass(frozen=True)
@@ -421,7 +400,7 @@ class PairSetSpec:
         0.05, 0, 1, metavar="SHARE", help="Fraction of touches without contact, 0 to 1."
     )
     min_height_m: float | None = touch.HeightRule.option(
-        above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
+        above=0, below=0.1, name="--min-height-mm", metavar="MM", read=partial(_metres, "min_height_m")
     )
     window: str = choice(
         "full",
