@@ -31,8 +31,7 @@ def merge_sets(
     values are converted to the unit of the first data set. Classes are joined by name. The columns
     ``source`` (``source_set`` for digits, whose ``source`` is the handwriting), ``source_id`` and ``licence``
     state the data set of each row, its id there, and the licence; rows that state them already keep them. The
-    first row with an id keeps it, later ones get new ids. ``run``
-    are fields of ``store.RunOptions``.
+    first row with an id keeps it, later ones get new ids. ``run`` are fields of ``store.RunOptions``.
 
     Raises InputError for data sets of another kind, with a file in common, or with a column whose types have
     no common one.
@@ -144,7 +143,8 @@ class Union:
                 continue
             new_name, factor = column.name, 1.0
             if column.name not in self.types and pa.types.is_floating(read.list_depth(column.type)[1]):
-                for known in self.types.keys() - set(schema.names):
+                # In their order, which is the same in all processes; of several, the last one.
+                for known in (name for name in self.types if name not in schema.names):
                     new_factor = units.conversion_factor(column.name, known)
                     if new_factor is not None:
                         new_name, factor = known, new_factor
