@@ -76,15 +76,20 @@ def import_touches(
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    spec = replace(spec, columns=columns.with_mapped(mapped or ()), alignment=alignment)
-    if run_options.dry_run:
-        _print_preview(sink, realtouch.preview_import(source, spec), out)
-        return
-    make = partial(realtouch.import_touches, source, out, spec)
-    manifest = runs.make_with_progress(sink, "importing", KIND, make, run_options, out, "touches")
-    if manifest is not None:
-        _print_imported(sink, manifest)
-        sink.line(f"next: realtouch check {out}   tactile gallery {out}")
+    columns = columns.with_mapped(mapped or ())
+    for of_topic in columns.for_each_topic():
+        folder = out
+        if of_topic is not columns:
+            folder = f"{out}/{of_topic.image_name.strip('/').replace('/', '-')}"
+        topic_spec = replace(spec, columns=of_topic, alignment=alignment)
+        if run_options.dry_run:
+            _print_preview(sink, realtouch.preview_import(source, topic_spec), folder)
+            continue
+        make = partial(realtouch.import_touches, source, folder, topic_spec)
+        manifest = runs.make_with_progress(sink, "importing", KIND, make, run_options, folder, "touches")
+        if manifest is not None:
+            _print_imported(sink, manifest)
+            sink.line(f"next: realtouch check {folder}   tactile gallery {folder}")
 
 
 def _print_preview(sink: output.Sink, preview: realtouch.ImportPreview, out: str) -> None:

@@ -352,8 +352,8 @@ class ImportColumns:
     ----------
     image : str or None
         Which pictures to import: the column of a table with their paths below the folder; the file extension
-        in WebDataset; the column of Parquet, camera of LeRobot, array of Zarr, or path in HDF5. Without it,
-        there must be only one.
+        in WebDataset; the column of Parquet, camera of LeRobot, array of Zarr, path in HDF5, or topic of ROS.
+        Without it, there must be only one.
     label : str or None
         Class: a number, or a name. Without such a column all touches have the label -1 and no class.
     round : str or None
@@ -530,6 +530,13 @@ class ImportColumns:
                 changes[several] = tuple(wording.comma_separated(sources[several]))
         extra = {**dict(self.extra), **{name: sources[name] for name in sources if name not in MAPPED}}
         return replace(self, **changes, extra=tuple(extra.items()))
+
+    def for_each_topic(self) -> list[ImportColumns]:
+        """Return these columns for each topic if ``image`` names several, such as ``"/left,/right"``."""
+        topics = wording.comma_separated(self.image or "")
+        if len(topics) < 2 or not all(topic.startswith("/") for topic in topics):
+            return [self]
+        return [replace(self, image=topic) for topic in topics]
 
     @property
     def image_name(self) -> str:

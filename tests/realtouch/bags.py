@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,9 +120,9 @@ def samples(make: Messages, count: int = 5, *, stamped: bool = True) -> list[Sam
 
 def write(path: Path, kind: str, made: Sequence[Sample], **options: Any) -> Path:
     """Write messages to a bag; return the file."""
-    return {"ros1": _ros1, "mcap": _ros2, "sqlite3": _ros2, "others": _mcap_of_others}[kind](
-        path, kind, made, **options
-    )
+    return {"ros1": _ros1, "mcap": _ros2, "sqlite3": _ros2, "others": _mcap_of_others, "ros2": _mcap_ros2}[
+        kind
+    ](path, kind, made, **options)
 
 
 def _connections(writer: Any, types: Any, made: Sequence[Sample]) -> Iterator[tuple[Any, Sample]]:
@@ -158,6 +159,30 @@ def _ros2(path: Path, kind: str, made: Sequence[Sample], mode: str = "") -> Path
         for connection, sample in _connections(writer, types, made):
             writer.write(connection, sample.received_ns, types.serialize_cdr(sample.message, sample.kind))
     return next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _mcap_ros2(path: Path, _: str, made: Sequence[Sample]) -> Path:
+    """Write by the package of MCAP for ROS 2, which also encodes the messages itself."""
+    from mcap_ros2.writer import Writer
+
+    types = types_of("cdr")
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        schemas: dict[str, Any] = {}
+        for sample in made:
+            if sample.kind not in schemas:
+                text, _ = types.generate_msgdef(sample.kind, ros_version=2)
+                schemas[sample.kind] = writer.register_msgdef(sample.kind, text)
+            message = _plain(sample.message)
+            writer.write_message(sample.topic, schemas[sample.kind], message, sample.received_ns)
+        writer.finish()
+    return path
 
 
 def _mcap_of_others(

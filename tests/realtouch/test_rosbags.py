@@ -18,11 +18,12 @@ from realtouch.formats import ros_bags
 from realtouch.importing import import_sources
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.touch import decode_image
+from tests.command_line import call
 from tests.mutations import mutated
 from tests.realtouch import bags
 
 pytest.importorskip("rosbags", reason="needs rosbags, of the extra ros")
-pytest.importorskip("mcap", reason="needs mcap, of the extra test")
+pytest.importorskip("mcap_ros2", reason="needs mcap-ros2-support, of the extra test")
 
 # Writer, encoding of messages, options of the writer.
 KINDS: dict[str, tuple[str, str, dict[str, Any]]] = {
@@ -37,6 +38,7 @@ KINDS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "lz4.mcap": ("others", "cdr", {"compression": "LZ4"}),
     "none.mcap": ("others", "cdr", {"compression": "NONE"}),
     "plain.mcap": ("others", "cdr", {"use_chunking": False}),
+    "ros2.mcap": ("ros2", "cdr", {}),
     "ros1.mcap": ("others", "ros1", {}),
 }
 
@@ -144,6 +146,27 @@ def test_of_several_cameras_one_is_named(tmp_path: Path) -> None:
         left_out = " ".join(recordings.left_out)
         assert "/gel/image/compressed (sensor_msgs/CompressedImage), 5 messages" in left_out
         assert "/depth (sensor_msgs/Image), 1 message, 16UC1: pictures that are not read" in left_out
+
+
+def test_several_topics_make_a_set_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = written(tmp_path, "mcap", two_cameras(bags.Messages("cdr")))
+    arguments = (
+        "import",
+        source,
+        "--map",
+        "image=/left/image,/gel/image/compressed",
+        "--out",
+        tmp_path / "out",
+    )
+    assert call("realtouch", *arguments, "--dry-run") == 0
+    assert "would make 5 touches in 1 round in" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+    assert call("realtouch", *arguments) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "gel-image-compressed",
+        "left-image",
+    ]
+    assert len(realtouch.load(tmp_path / "out" / "left-image", "train").touches()) == 5
 
 
 def test_times_of_receipt_replace_missing_stamps(tmp_path: Path) -> None:
