@@ -64,6 +64,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     types = read.column_types(facts.schema)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
+    family = touch.sensor_family(schema.sensor_of(facts.schema, manifest))
     contact_source = schema.ContactSource.of(types)
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
@@ -72,6 +73,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template = str(operation)
         licence_text = of_origin.get("licence_of_others", licence_text)
         content = _plain_content(folder, facts, manifest, words)
+        for name in ("content_text", "loading"):
+            content.values[name] = content.values[name].replace("$sensor_family", family)
     else:
         kind = schema.media_kind(facts.schema, folder.address())
         template = kind if origin == "real" else origin
@@ -80,7 +83,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         content.columns.update(_extra_words(facts, types))
         if contact_source.heights is not None:
             heights.append(words["plates"][contact_source.heights.plate])
-    tags = [*of_origin["tags"]]
+    tags = [tag.replace("$sensor_family", family) for tag in of_origin["tags"]]
     caption = "Some touches"
     if template == "seq":
         tags.append("video")

@@ -405,6 +405,9 @@ def plan_build(
         options["unfinished"] = opened.unfinished
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
         options["touches"] = origin
+    sensor = schema.sensor_of(opened.schema, opened.manifest())
+    if sensor is not None and sensor != touch.GELSIGHT_MINI:
+        options.setdefault("sensor", {"name": sensor})
     return plan_conversion(replace(conversion, options=options))
 
 

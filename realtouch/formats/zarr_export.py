@@ -33,7 +33,7 @@ from realtouch import contact
 from realtouch.convert import conversion
 from realtouch.formats import exports, zarr_recordings
 from realtouch.touches import loading, media, poses, schema, stored_round
-from tactile_toolkit import read, store
+from tactile_toolkit import read, store, touch
 from tactile_toolkit.value_types import AnyArray, UInt8
 
 CHUNK_BYTES = 2 << 20
@@ -53,10 +53,11 @@ _IN_MEMORY_BYTES = 64 << 20
 AddArrays = Callable[[exports.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
 
-_TACTILE = "right_tactile_{}_gelsight"
+_TACTILE = "right_tactile_{}_{}"  # what an array holds, family of the sensor
 _CAMERA, _POSE = "camera_main_rgb", "right_wrist_pose"
 _INSTRUCTION, _TIMES = "sub_task_instruction", "timestamps"
-_SENSOR, _PICTURE_TYPE = "GelSightMini", "image"
+_PICTURE_TYPE = "image"
+_KNOWN_SENSORS = {touch.GELSIGHT_MINI: "GelSightMini"}
 _STAND_INS = "what_stands_for"
 _BLACK = "black pictures: there was no camera"
 _OF_GEL = "the pose of the gel in the frame of the cell"
@@ -252,7 +253,9 @@ plan_replay = GroupFormat(
 ).plan
 
 
-def _add_arrays(step: exports.Episodes, table: pa.Table, arrays: dict[str, AnyArray]) -> Mapping[str, object]:
+def _add_arrays(
+    sensor: str, step: exports.Episodes, table: pa.Table, arrays: dict[str, AnyArray]
+) -> Mapping[str, object]:
     """Add the arrays of the format that follow from columns, and stand-ins; return what stands for what."""
     count = len(table)
     exact = arrays.get(OUR_NAMES[exports.STATE])
@@ -264,23 +267,33 @@ def _add_arrays(step: exports.Episodes, table: pa.Table, arrays: dict[str, AnyAr
         meaning_of_pose = _OF_GEL
     tasks = [*(f"touch an object of class {name}" for name in step.names), "touch an object"]
     arrays.setdefault(_TIMES, np.divide(table["frame_index"].to_numpy(), step.fps))
+    family = touch.sensor_family(sensor)
     arrays |= {
         _POSE: pose,
         _CAMERA: np.broadcast_to(np.uint8(0), (count, *step.size, 3)),
         _INSTRUCTION: np.array(tasks, "<U")[arrays["label"]],  # -1 is the last
-        _TACTILE.format("area"): np.broadcast_to(np.int64(0), (count, 1)),
-        _TACTILE.format("sensor"): np.full(count, _SENSOR),
-        _TACTILE.format("type"): np.full(count, _PICTURE_TYPE),
+        _TACTILE.format("area", family): np.broadcast_to(np.int64(0), (count, 1)),
+        _TACTILE.format("sensor", family): np.full(count, _KNOWN_SENSORS.get(sensor, sensor)),
+        _TACTILE.format("type", family): np.full(count, _PICTURE_TYPE),
     }
     return {_STAND_INS: {_CAMERA: _BLACK, _POSE: meaning_of_pose}}
 
 
-plan_oxt = GroupFormat(
-    name="group of Open-X-Tactile",
-    folder="oxt",
-    pictures=_TACTILE.format("data"),
-    arrays={**OUR_NAMES, exports.TIME: _TIMES},
-    add=_add_arrays,
-    sensors=(1,),
-    number=pa.float64(),
-).plan
+def plan_oxt(
+    source: loading.Source,
+    choices: conversion.Choices,
+    method: contact.ContactMethod,
+    options: Mapping[str, object],
+) -> conversion.Conversion:
+    """Plan a group of Open-X-Tactile, whose arrays are named for the sensor; raises as other groups."""
+    sensor = schema.sensor_of(source.schema, source.manifest()) or "unknown"
+    group = GroupFormat(
+        name="group of Open-X-Tactile",
+        folder="oxt",
+        pictures=_TACTILE.format("data", touch.sensor_family(sensor)),
+        arrays={**OUR_NAMES, exports.TIME: _TIMES},
+        add=partial(_add_arrays, sensor),
+        sensors=(1,),
+        number=pa.float64(),
+    )
+    return group.plan(source, choices, method, options)

@@ -172,6 +172,14 @@ def origin_of(schema: pa.Schema, manifest: store.Manifest | None) -> Origin:
     return "synthetic" if _is_rendered(schema) else "real"
 
 
+def sensor_of(schema: pa.Schema, manifest: store.Manifest | None) -> str | None:
+    """Return the name of the sensor of touches; None for imported ones that do not state it."""
+    stated = None if manifest is None else touch.sensor_name(manifest.spec)
+    if stated is None and origin_of(schema, manifest) != "imported":
+        return touch.GELSIGHT_MINI
+    return stated
+
+
 def require_types(shard: read.Shard) -> None:
     """Check the type of every known column that exists, and that the class names can be read.
 

@@ -40,7 +40,6 @@ _OPTICS = {
     "twin": "the twin of a sensor, which `tactile-sim calibrate` made from its touches",
 }
 
-_TAGS = ["tactile", "active-perception", "gelsight", "touch", "synthetic"]
 _TASKS = {
     "task_categories": ["robotics", "image-classification"],
     "task_ids": ["multi-class-image-classification"],
@@ -120,7 +119,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         picture=("touches.png", "The first touches of the first rounds"),
         drawn=touches_sheet,
         licence="mit",
-        tags=_TAGS,
+        tags=["tactile", "active-perception", touch.sensor_family(sensor.model.name), "touch", "synthetic"],
         tasks=_TASKS,
         figures={
             "touches": [f"{row['touches']:,}" for row in counts],

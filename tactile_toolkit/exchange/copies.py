@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, errors, mesh, places, read, run, store, wording
+from tactile_toolkit import catalog, errors, mesh, places, read, run, store, touch, wording
 from tactile_toolkit.kind import EXPORT, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh import records
 from tactile_toolkit.store.manifest import VIEWER_FOLDER, ShardRecord
@@ -250,6 +250,7 @@ class Source:
     is_imported: bool
     shards: Mapping[str, tuple[read.Shard, ...]]
     unfinished: str = ""
+    sensor: str | None = None
 
     @property
     def table(self) -> read.ShardedTable:
@@ -267,7 +268,8 @@ def open_source(kind: DatasetKind, name: places.Name | places.Place, command: st
     options = manifest.spec.get("options") or {}
     is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
     spec = manifest.spec.get("source_spec", manifest.spec)
-    return Source(place.name, spec, is_imported, shards, place.unfinished)
+    sensor = touch.sensor_name(manifest.spec)
+    return Source(place.name, spec, is_imported, shards, place.unfinished, sensor)
 
 
 def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:
@@ -322,6 +324,11 @@ def build_copy(
         options = {**options, "touches": "imported"}  # the terms of their source apply
     # Data sets that were made in different ways have no common specification.
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
+    if source_spec is None and any(source.sensor for source in sources):
+        unstated = [source.is_imported for source in sources if not source.sensor]
+        sensors = {source.sensor for source in sources if source.sensor}
+        sensors |= {"unknown" if is_imported else touch.GELSIGHT_MINI for is_imported in unstated}
+        options = {**options, "sensor": {"name": ", ".join(sorted(sensors))}}
     # Kinds of one package have the same columns, as all touches do.
     made = next(
         (installed for installed in kinds() if installed.name == installed.package == kind.package), kind

@@ -3,7 +3,10 @@
 from .contact import (
     CELL_M as CELL_M,
     PRESS_DEPTH_M as PRESS_DEPTH_M,
+    GELSIGHT_MINI as GELSIGHT_MINI,
     HeightRule as HeightRule,
+    sensor_family as sensor_family,
+    sensor_name as sensor_name,
     size_option as size_option,
 )
 from .images import (

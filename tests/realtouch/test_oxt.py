@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 import realtouch
+import tactile_sim
 from realtouch.formats.zarr_recordings import restore_column_names
 from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import Ledger
@@ -21,6 +22,7 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tests.command_line import call
 from tests.mutations import mutated, with_other_numbers
 from tests.realtouch.found import per_frame
+from tests.tactile_sim.solids import block
 
 zarr = pytest.importorskip("zarr", reason="needs zarr, of the extra dev")
 
@@ -260,3 +262,36 @@ def test_any_damage_of_a_group_gives_recordings_or_a_message(layout: str, tmp_pa
             refused += 1
         path.write_bytes(whole[path])
     assert 0 < refused < 600
+
+
+def test_the_sensor_is_that_of_the_set_through_copies(tmp_path: Path) -> None:
+    solid = block((0.006, 0.006, 0.003))
+    for name in ("digit", "gelsight-mini"):
+        spec = tactile_sim.TouchSetSpec((32, 24), "depth", "full", tactile_sim.TouchPlan(1, 2), sensor=name)
+        tactile_sim.generate({"block": solid}, spec, tmp_path / name)
+    digit = tmp_path / "digit"
+    assert call("tactile", "select", digit, "--limit", "1", "--out", tmp_path / "selected") == 0
+    realtouch.resize(digit, tmp_path / "resized", 16, 12)
+    both = tmp_path / "both"
+    assert call("tactile", "merge", digit, tmp_path / "gelsight-mini", "--out", both) == 0
+    for source, sensor, group in (
+        ("digit", "digit", "digit"),
+        ("selected", "digit", "digit"),
+        ("resized", "digit", "digit"),
+        ("gelsight-mini", "GelSightMini", "gelsight"),
+        ("both", "digit, gelsight-mini", "sensor"),
+    ):
+        out = tmp_path / f"{source}-oxt"
+        realtouch.export(tmp_path / source, out, "oxt")
+        store = zarr.storage.ZipStore(out / "oxt" / "touches.zarr.zip", mode="r")
+        data = zarr.open_group(store, mode="r")["data"]
+        assert set(data[f"right_tactile_sensor_{group}"][:]) == {sensor}
+        assert data[f"right_tactile_data_{group}"].shape[1:] == (
+            1,
+            *((12, 16) if source == "resized" else (24, 32)),
+            3,
+        )
+        for folder in (tmp_path / source, out):
+            card = (folder / "README.md").read_text()
+            assert f"- {group}\n" in card
+            assert ("- gelsight\n" in card) == (group == "gelsight")
