@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 from cli import application, contents, options, output, runs
 from cli.options import AnySourceOptions, RunOptions, argument, out_folder
 from realtouch.kind import KIND
-from realtouch.touch_options import EXPORT_FORMATS, FRAME, ContactChoice
+from realtouch.touch_options import EXPORT_FORMATS, FRAME, TouchChoice
 from tactile_toolkit import cards, catalog, checked_fields, exchange, places, printing, store, wording
 from tactile_toolkit.cache import CacheContents
 from tactile_toolkit.checked_fields import choice, text
@@ -50,7 +51,7 @@ def select(
     name: str = options.NAME,
     source_options: AnySourceOptions,
     chosen: catalog.RowFilter,
-    contact: Annotated[options.UserOptions, options.OptionsOf(ContactChoice)],
+    touches: Annotated[options.UserOptions, options.OptionsOf(TouchChoice)],
     out: str = out_folder("selected"),
     run_options: RunOptions,
     sink: output.Sink,
@@ -58,21 +59,26 @@ def select(
     """Write selected rows of a data set as a data set of the same kind.
 
     Examples: tactile select digits --labels 3,5 --per-class 10 --out some;
-    tactile select real-single-64x64 --contact --out touched
+    tactile select real-single-64x64 --contact --out touched;
+    tactile select touches --without findings.json --out clean
     """
     filters = _filters(chosen)
     source, kind = source_options.open_kind(sink, name)
     make: Any = partial(exchange.select_rows, kind, source, filters, out)
     if kind.has_touches:
         contents.announce_fetching(sink, source, chosen.split)
-        make = partial(_select_touches, source, out, **ContactChoice(**contact).arguments(), **filters)
+        make = partial(_select_touches, source, out, **TouchChoice(**touches).arguments(), **filters)
     else:
-        options.refuse(contact, kind.nouns)
+        options.refuse(touches, kind.nouns)
         if not filters:
             raise InputError(
                 "expected filters such as --ids", next="add --ids, --labels, --per-class or --limit"
             )
-    runs.make_with_progress(sink, "copying", kind, make, run_options, out)
+    manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, out)
+    if manifest is not None:
+        left_out = Counter(entry["rule"] for entry in manifest.spec["options"].get("without", ()))
+        for rule, count in left_out.items():
+            sink.line(f"{rule}: touches of {with_count(count, 'rounds')} were left out")
 
 
 def split(

@@ -144,8 +144,8 @@ class TouchPreviewSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class ContactChoice:
-    """Options of a selection of touches by contact."""
+class TouchChoice:
+    """Options of a selection of touches: by contact, and by the findings of a check."""
 
     contact: bool = checked_fields.switch(
         False, panel="Touches", help="Only touches in contact with an object."
@@ -159,6 +159,12 @@ class ContactChoice:
         "touch of each round.",
     )
 
+    without: str | None = checked_fields.text(
+        metavar="FINDINGS.json",
+        panel="Touches",
+        help="Leave out the touches that `realtouch check --json` found; the manifest says which and why.",
+    )
+
     def arguments(self) -> JsonDict:
         """Return the arguments of :func:`realtouch.select` for these touches."""
         min_height_m = None
@@ -168,6 +174,7 @@ class ContactChoice:
             "contact": self.contact,
             "min_height_m": min_height_m,
             "recalibrate_z": not self.as_recorded,
+            "without": self.without,
         }
 
 

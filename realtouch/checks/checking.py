@@ -6,7 +6,7 @@ Sections are checked one by one, then compared with each other.
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -14,11 +14,11 @@ from functools import partial
 from itertools import groupby
 
 import numpy as np
-from scipy import stats
+from scipy import sparse, spatial, stats
 
 from realtouch import kind, touch_options
 from realtouch.checks import rules, verification
-from realtouch.checks.sections import PlacedRow, RoundFacts, Section, check_section
+from realtouch.checks.sections import PlacedRow, RoundFacts, Section, TouchFacts, check_section
 from realtouch.touch_options import CheckLimits
 from realtouch.touches import damage, datasets, loading, schema, stored_round
 from realtouch.touches.rounds import TouchSingleRound
@@ -32,6 +32,8 @@ _MIN_FRAMES = 8
 _MIN_TOUCHES = 4  # shorter rounds are checked together with the ones after them
 _MAX_DRAWN = 8
 _TILE_PX = 240
+_NEIGHBOURS = 4  # pictures with which each is compared, itself among them
+_PATCH_SHAPE = (4, 3, 4, 4)  # 4 x 4 patches of 3 x 4 cells
 _NAME_CHARACTERS = 20  # at the end of the name of a round, which fit below a picture
 # Rounds whose names begin with date and time, as in the published sets, are sorted by name.
 _DATED = re.compile(r"\d{4}-\d\d-\d\d[_T ]\d\d[-:]\d\d[-:]\d\d")
@@ -215,6 +217,10 @@ def finding_of(
     splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
     total = 0
+    leave_out: dict[tuple[str, int], list[int]] = defaultdict(list)
+    for fault in faults:
+        if not fault.stays:
+            leave_out[fault.at[:2]].append(fault.at.touch)
     for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
         whole = spot._replace(touch=rules.WHOLE_ROUND)
         known = rounds.get(whole, RoundFacts(whole, f"row {spot.row}", 1, None, None))
@@ -236,6 +242,14 @@ def finding_of(
         tuple(names[: rules.MAX_NAMED]),
         total,
         message.next,
+        tuple(
+            rules.LeaveOut(
+                *row,
+                rounds[whole].name if (whole := rules.Spot(*row, rules.WHOLE_ROUND)) in rounds else "",
+                None if rules.WHOLE_ROUND in touches else tuple(sorted(set(touches))),
+            )
+            for row, touches in sorted(leave_out.items())
+        ),
     )
 
 
@@ -267,15 +281,29 @@ def _draw(
 
 def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[rules.Fault]:
     """Yield the faults between sections, and between splits."""
-    yield from _equal_pictures(sections)
-    yield from _shared_objects(sections)
+    sizes = Counter(of_round.spot.split for section in sections for of_round in section.rounds)
+    yield from _equal_pictures(sections, sizes)
+    yield from _near_duplicates(sections, sizes)
+    yield from _shared_objects(sections, sizes)
     yield from _swapped_channels(sections)
     yield from _mixed_markers(sections)
     for gel in _sessions(sections):
         yield from _changes_of_gel(gel, limits)
 
 
-def _equal_pictures(sections: Sequence[Section]) -> Iterator[rules.Fault]:
+def _kept_split(spots: Sequence[rules.Spot], sizes: Mapping[str, int]) -> str:
+    """Return the split in which touches stay that are in several: the one of the fewest rounds."""
+    return min({spot.split: None for spot in reversed(spots)}, key=sizes.__getitem__)
+
+
+def _duplicates(rule: str, spots: Sequence[rules.Spot], sizes: Mapping[str, int]) -> Iterator[rules.Fault]:
+    """Yield the faults of duplicates, the first of which in one of the splits may stay."""
+    split = _kept_split(spots, sizes)
+    kept = next(spot for spot in spots if spot.split == split)
+    yield from (rules.Fault(rule, spot, len(spots), spot == kept) for spot in spots)
+
+
+def _equal_pictures(sections: Sequence[Section], sizes: Mapping[str, int]) -> Iterator[rules.Fault]:
     """Yield touches with the same stored pictures, in a split and over splits; frozen images count once."""
     faults = (fault for section in sections for fault in section.faults)
     frozen = {fault.at for fault in faults if fault.rule == "frozen-frames"}
@@ -286,10 +314,44 @@ def _equal_pictures(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     for spots in owners.values():
         rule = "shared-pictures" if len({spot.split for spot in spots}) > 1 else "duplicate-pictures"
         if len(spots) > 1:
-            yield from (rules.Fault(rule, spot, len(spots)) for spot in spots)
+            yield from _duplicates(rule, spots, sizes)
 
 
-def _shared_objects(sections: Sequence[Section]) -> Iterator[rules.Fault]:
+def _near_duplicates(sections: Sequence[Section], sizes: Mapping[str, int]) -> Iterator[rules.Fault]:
+    """Yield touches with contact whose pictures are nearly equal, but not stored as the same bytes."""
+    facts: dict[bytes, TouchFacts] = {}
+    for section in sections:
+        touches = [touch for touch in section.touches if touch.grey is not None]
+        if touches:
+            grey = np.array([touch.grey for touch in touches], np.float32)
+            differs = np.abs(grey - np.median(grey, axis=0)).max(axis=1)
+            contacts = np.flatnonzero(differs >= rules.MIN_CONTACT).tolist()
+            for number in contacts:
+                facts.setdefault(touches[number].digest, touches[number])
+    if len(facts) < 2:
+        return
+    chosen = list(facts.values())
+    cells = np.array([touch.grey for touch in chosen], np.float32)
+    # Nearly equal cells have nearly equal averages over patches, of which the closest few are compared.
+    patches = cells.reshape(len(chosen), *_PATCH_SHAPE).mean(axis=(2, 4)).reshape(len(chosen), -1)
+    _, closest = spatial.KDTree(patches).query(
+        patches, min(_NEIGHBOURS, len(chosen)), p=np.inf, distance_upper_bound=rules.NEAR
+    )
+    neighbours = np.asarray(closest)
+    rows, columns = np.nonzero(neighbours < len(chosen))
+    near = neighbours[rows, columns]
+    is_near = np.abs(cells[rows] - cells[near]).max(axis=1) < rules.NEAR
+    graph = sparse.coo_array((is_near[is_near], (rows[is_near], near[is_near])), (len(chosen), len(chosen)))
+    _, groups = sparse.csgraph.connected_components(graph, directed=False)
+    spots_of: dict[int, list[rules.Spot]] = defaultdict(list)
+    for touch, group in zip(chosen, groups.tolist(), strict=True):
+        spots_of[group].append(touch.spot)
+    for spots in spots_of.values():
+        if len(spots) > 1:
+            yield from _duplicates("near-duplicates", spots, sizes)
+
+
+def _shared_objects(sections: Sequence[Section], sizes: Mapping[str, int]) -> Iterator[rules.Fault]:
     owners: dict[int, list[rules.Spot]] = defaultdict(list)
     for of_round in (of_round for section in sections for of_round in section.rounds):
         if of_round.object_id is not None:
@@ -297,7 +359,8 @@ def _shared_objects(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     for spots in owners.values():
         splits = len({spot.split for spot in spots})
         if splits > 1:
-            yield from (rules.Fault("shared-objects", spot, splits) for spot in spots)
+            kept = _kept_split(spots, sizes)
+            yield from (rules.Fault("shared-objects", spot, splits, spot.split == kept) for spot in spots)
 
 
 def _swapped_channels(sections: Sequence[Section]) -> Iterator[rules.Fault]:

@@ -46,6 +46,10 @@ picture changes by at least ``MIN_CHANGE`` levels: pictures of a gel without con
 JUMP_FACTOR, MIN_TURN_DEG = 8.0, 20.0
 """A position jumps if its step exceeds the option, and ``JUMP_FACTOR`` times the 90th percentile of the
 steps; a rotation jumps if it exceeds ``MIN_TURN_DEG``, and the same multiple of its percentile."""
+NEAR, MIN_CONTACT = 0.65, 10.0
+"""Pictures are near duplicates if the brightness of no cell differs by ``NEAR`` levels, and that of one by
+``MIN_CONTACT`` from the median of its rounds, as pictures without contact are all alike. A picture that was
+encoded again at quality 90 differs by 0.2, or at half the size by 0.5."""
 MAX_CLOCK_DIFFERENCE = 0.05
 """Largest difference between the median step of the time stamps of a clip and that of its file, as a share:
 stamps in whole milliseconds differ by up to 2 % at 60 Hz."""
@@ -73,11 +77,28 @@ class Spot(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """A rule that is broken at a picture, and the value found."""
+    """A rule that is broken at a picture, and the value found.
+
+    ``stays`` if the picture may stay when the others with this fault are left out: the first of duplicates.
+    """
 
     rule: str
     at: Spot
     value: float
+    stays: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LeaveOut:
+    """Touches that `tactile select --without` leaves out: some of a round, or all if ``touches`` is None.
+
+    ``row`` is the number of the round in its split.
+    """
+
+    split: str
+    row: int
+    round: str
+    touches: tuple[int, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +130,9 @@ class RecordingFinding:
         Number of all touches concerned.
     next : str
         A sentence with the next step.
+    leave_out : tuple of LeaveOut
+        All touches concerned except those that may stay: the first of duplicates, or what is in the smallest
+        of several splits.
     """
 
     rule: str
@@ -118,6 +142,7 @@ class RecordingFinding:
     touches: tuple[str, ...]
     count: int
     next: str
+    leave_out: tuple[LeaveOut, ...]
 
 
 RULES: dict[str, FaultRule] = {
@@ -175,6 +200,12 @@ RULES: dict[str, FaultRule] = {
         "each picture once in a split",
         "leave all but one of them out, and compare the poses of what you keep",
     ),
+    "near-duplicates": FaultRule(
+        "Near duplicates",
+        "{value:.0f} touches with contact whose pictures are nearly equal, as if encoded again",
+        f"pictures with contact of which a part differs by {NEAR:g} levels",
+        "leave all but one of them out, above all if they are in two splits",
+    ),
     "shared-pictures": FaultRule(
         "The same picture in two splits",
         "{value:.0f} touches of several splits with the same stored pictures",
@@ -226,6 +257,14 @@ def cells_of(encoded: bytes | memoryview) -> Float32:
     pixels = decode_image(encoded, least_px=COLUMNS)
     shrunk = Image.fromarray(pixels).resize((COLUMNS, ROWS), Image.Resampling.BOX)
     return np.asarray(shrunk, np.float32)
+
+
+def brightness_of(encoded: bytes | memoryview) -> Float32:
+    """Decode a picture to the brightness of its cells above their median, shape (192,), levels."""
+    pixels = decode_image(encoded, least_px=4 * COLUMNS)
+    grey = Image.fromarray(pixels.mean(axis=2, dtype=np.float32))
+    cells = np.asarray(grey.resize((COLUMNS, ROWS), Image.Resampling.BILINEAR), np.float32).ravel()
+    return cells - np.median(cells)
 
 
 def share_of_one_value(encoded: bytes | memoryview, cells: Float32) -> float:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xxhash
+from numpy.typing import NDArray
 
 from realtouch import contact, touch_options
 from realtouch.checks import rules
@@ -54,11 +55,15 @@ class RoundFacts(NamedTuple):
 
 
 class TouchFacts(NamedTuple):
-    """A touch with content: a digest of its stored pictures, and their colour pattern, shape (48,)."""
+    """A touch with content: a digest of its stored pictures, and their colour pattern, shape (48,).
+
+    ``grey``, shape (192,), is the brightness of the cells of a picture, float16, levels; None if rendered.
+    """
 
     spot: rules.Spot
     digest: bytes
     pattern: Float32
+    grey: NDArray[np.float16] | None
 
 
 @dataclass(eq=False)
@@ -96,7 +101,7 @@ def check_section(
             strip = _strip(section, row.stored, part, frames, is_rendered=is_rendered)
             for rule in STRIP_RULES:
                 section.faults += rule(strip, limits)
-            section.touches += _touches(strip)
+            section.touches += _touches(strip, is_rendered=is_rendered)
             pictures += strip.pictures.values()
     if pictures and not is_rendered:  # no light that could change
         steps = rules.outlying_steps(np.stack([picture.cells for picture in pictures]), limits.exposure)
@@ -196,7 +201,7 @@ def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> 
     return poses, time_s
 
 
-def _touches(strip: Strip) -> Iterator[TouchFacts]:
+def _touches(strip: Strip, *, is_rendered: bool) -> Iterator[TouchFacts]:
     """Yield the touches of a strip, all pictures of which have content."""
     numbers = range(len(strip.spots))
     for _, group in groupby(numbers, key=lambda number: strip.spots[number].touch):
@@ -205,7 +210,12 @@ def _touches(strip: Strip) -> Iterator[TouchFacts]:
         if cells and all(strip.digests[number] for number in of_touch):
             digest = xxhash.xxh3_128_digest(b"".join(strip.digests[number] for number in of_touch))
             spot = strip.spots[of_touch[0]]._replace(frame=0)
-            yield TouchFacts(spot, digest, rules.colour_pattern(np.median(cells, axis=0)))
+            grey = None
+            if not is_rendered:
+                decoded = [number for number in of_touch if number in strip.pictures]
+                picture = strip.pictures[decoded[len(decoded) // 2]]
+                grey = rules.brightness_of(picture.encoded).astype(np.float16)
+            yield TouchFacts(spot, digest, rules.colour_pattern(np.median(cells, axis=0)), grey)
 
 
 def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import kind, touch_card
+from realtouch.convert import findings
 from realtouch.touches import datasets, loading, schema, stored_round
 from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
 from tactile_toolkit.value_types import JsonDict, JsonObject
@@ -418,6 +419,7 @@ def select(
     contact: bool = False,
     min_height_m: float | None = None,
     recalibrate_z: bool = True,
+    without: str | PathLike[str] | None = None,
     **job: Unpack[JobOptions],
 ) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips are copied byte for byte.
@@ -435,6 +437,10 @@ def select(
         :meth:`~realtouch.Touches.in_contact`.
     recalibrate_z : bool
         Take the deepest touch of each round as the plate, where its height is not known.
+    without : str or path, optional
+        Document of `realtouch check --json`. Touches that its findings leave out are not taken; the option
+        ``without`` of the manifest lists them with the rule of each. A finding that is removed from the
+        document is ignored.
 
     Returns
     -------
@@ -443,7 +449,7 @@ def select(
     Raises
     ------
     InputError, SpecMismatchError, StorageError
-        As :func:`clips_to_images`.
+        As :func:`clips_to_images`; InputError, too, for findings of another data set.
     """
     if min_height_m is not None:
         min_height_m = checked_fields.checked_number(min_height_m, "min_height_m")
@@ -454,34 +460,49 @@ def select(
         "min_height_m": min_height_m,
         "recalibrate_z": recalibrate_z,
     }
-    return write_conversion(source, out, partial(_selection, touches), **job)
+    return write_conversion(source, out, partial(_selection, touches, without), **job)
 
 
-def _selection(touches: JsonObject, opened: loading.Source, rows: catalog.RowFilter) -> Conversion:
+def _selection(
+    touches: JsonObject,
+    without: str | PathLike[str] | None,
+    opened: loading.Source,
+    rows: catalog.RowFilter,
+) -> Conversion:
     options = {**touches}
-    if not options["contact"]:
+    if not options["contact"] and without is None:
         whole = KeepTouches(some_touches=False)
         return Conversion(opened, "select", options, whole, chosen_rows(opened, rows))
+    left_out: Mapping[tuple[str, int], Collection[int]] = {}
+    if without is not None:
+        left_out, options["without"] = findings.read_findings(without, opened)
     sources = opened.contact_sources
     rule = "; or ".join(map(str, sources))
     by_height = options["min_height_m"] is not None or any(source.heights for source in sources)
-    if len(sources) == 1 and sources[0].heights is not None and options["min_height_m"] is None:
-        options["min_height_m"] = sources[0].heights.min_height_m
-    if options["min_height_m"] is None:
-        options["contact_rule"] = rule
-    # The limit counts rounds with contact.
+    choices = chosen_rows(opened, replace(rows, limit=None))
+    if options["contact"]:
+        if len(sources) == 1 and sources[0].heights is not None and options["min_height_m"] is None:
+            options["min_height_m"] = sources[0].heights.min_height_m
+        if options["min_height_m"] is None:
+            options["contact_rule"] = rule
+    # The limit counts rounds that are left.
     choices = {
-        split: _with_contact(opened, split, choices, options)[: rows.limit]
-        for split, choices in chosen_rows(opened, replace(rows, limit=None)).items()
+        split: _chosen_touches(opened, split, of_split, options, left_out)[: rows.limit]
+        for split, of_split in choices.items()
     }
-    if not any(choices.values()):
-        if options["min_height_m"] is not None:
-            raise _no_contact(opened, options["min_height_m"])
+    if any(choices.values()):
+        return Conversion(opened, "select", options, KeepTouches(True, by_height), choices)
+    if without is not None:
         raise errors.InputError(
-            f"no chosen touch of {opened.name!r} is a contact (a touch is one if {rule})",
-            next="leave out --contact, or give fewer filters",
+            f"no chosen touch of {opened.name!r} is left without those of the findings",
+            next="remove findings from the document, or give fewer filters",
         )
-    return Conversion(opened, "select", options, KeepTouches(True, by_height), choices)
+    if options["min_height_m"] is not None:
+        raise _no_contact(opened, options["min_height_m"])
+    raise errors.InputError(
+        f"no chosen touch of {opened.name!r} is a contact (a touch is one if {rule})",
+        next="leave out --contact, or give fewer filters",
+    )
 
 
 def _no_contact(source: loading.Source, height_m: float) -> errors.InputError:
@@ -494,23 +515,32 @@ def _no_contact(source: loading.Source, height_m: float) -> errors.InputError:
     )
 
 
-def _with_contact(
-    source: loading.Source, split: str, choices: Sequence[RowChoice], options: JsonObject
+def _chosen_touches(
+    source: loading.Source,
+    split: str,
+    choices: Sequence[RowChoice],
+    options: JsonObject,
+    left_out: Mapping[tuple[str, int], Collection[int]],
 ) -> list[RowChoice]:
-    """Return the chosen rows of a split that have touches with contact, with these touches."""
+    """Return the chosen rows of a split that have touches to keep, with these touches."""
     rows = [choice.row for choice in choices]
     touches = datasets.dataset_of(source.shards[split])[rows].touches()
-    touches = touches.with_contact(options["min_height_m"], options["recalibrate_z"])
+    if options["contact"]:
+        touches = touches.with_contact(options["min_height_m"], options["recalibrate_z"])
     pairs = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
+    kept = (pair for pair in pairs if pair[1] not in left_out.get((split, rows[pair[0]]), ()))
     return [
         RowChoice(rows[position], tuple(touch for _, touch in group))
-        for position, group in groupby(pairs, key=itemgetter(0))
+        for position, group in groupby(kept, key=itemgetter(0))
     ]
 
 
 @dataclass(frozen=True)
 class KeepTouches:
-    """Step of ``select``: the chosen touches of a round; ``by_height`` says that their heights chose them."""
+    """Step of ``select``: the chosen touches of a round.
+
+    ``by_height`` says that heights decide about contact, so that the height of the plate is kept.
+    """
 
     some_touches: bool
     by_height: bool = False
@@ -518,8 +548,7 @@ class KeepTouches:
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the schema of the source; lists over touches get a variable length if rounds lose touches.
 
-        Rounds that lose touches by their heights keep the height of their plate: the touches that showed it
-        may be gone.
+        The touches that showed the height of the plate may be gone.
         """
         if not self.some_touches:
             return source

@@ -23,6 +23,7 @@ from realtouch.checks.checking import GELSIGHT_MINI
 from realtouch.checks.rules import RULES, count_markers, outlying_steps
 from tactile_sim.optics.taxim import taxim_package
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared
 from tests.realtouch import factories
@@ -462,6 +463,51 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "nothing was found" in capsys.readouterr().out
     assert call("realtouch", "check", tmp_path / "drawn") == 2
     assert "realtouch import" in capsys.readouterr().err
+
+
+def test_findings_are_left_out_of_a_selection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Near duplicates and objects in two splits; the manifest says which rounds left, and why."""
+    truth = recorded(size=(160, 120))
+    truth[0] = replace(truth[0], object_id=truth[5].object_id)
+    folder = written(tmp_path / "set", "single", truth)
+    assert call("realtouch", "resize", folder, "--size", "80x60", "--out", tmp_path / "small", "-q") == 0
+    assert call("tactile", "merge", folder, tmp_path / "small", "--out", tmp_path / "both", "-q") == 0
+    rules = {finding.rule for finding in realtouch.check(tmp_path / "both").findings}
+    assert rules == {"near-duplicates", "shared-objects"}
+    capsys.readouterr()
+    assert call("realtouch", "check", tmp_path / "both", "--json") == 1
+    document = tmp_path / "findings.json"
+    document.write_text(capsys.readouterr().out)
+    out = tmp_path / "clean"
+    assert call("tactile", "select", tmp_path / "both", "--without", document, "--out", out) == 0
+    assert "near-duplicates: touches of 6 rounds were left out" in capsys.readouterr().out
+    assert call("tactile", "verify", out, "-q") == 0
+    assert realtouch.check(out).ok
+    kept = [realtouch.load(out, split) for split in ("train", "test")]
+    assert not set(kept[0].object_ids) & set(kept[1].object_ids)
+    assert len(kept[1]) == 1
+    entries = read_manifest(open_folder(str(out))).spec["options"]["without"]
+    assert {
+        "rule": "shared-objects",
+        "split": "train",
+        "row": 0,
+        "round": truth[0].id,
+        "touches": None,
+    } in entries
+    # A finding that is removed is ignored; those of another set, and other documents, are refused.
+    findings = json.loads(document.read_text())
+    kept_rules = [finding for finding in findings["findings"] if finding["rule"] == "shared-objects"]
+    document.write_text(json.dumps({"findings": kept_rules}))
+    realtouch.select(tmp_path / "both", tmp_path / "objects", without=document)
+    assert len(realtouch.load(tmp_path / "objects", "train")) == 8
+    other = written(tmp_path / "other", "single", recorded(seed=3))
+    with pytest.raises(InputError, match=r"names .* as row 0 of split 'train', which .*other' does not have"):
+        realtouch.select(other, tmp_path / "none", without=document)
+    document.write_text("[]")
+    assert call("tactile", "select", folder, "--without", document, "--out", tmp_path / "none") == 2
+    assert "--without" in (said := capsys.readouterr().err)
+    assert "cannot be read as findings" in said
+    assert not (tmp_path / "none").exists()
 
 
 def test_each_rule_is_documented() -> None:
