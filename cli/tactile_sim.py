@@ -231,6 +231,7 @@ def calibrate(
     Example: tactile-sim calibrate recordings --solids plate --out my-sensor
     """
     _sensor_output(out, overwrite=overwrite)
+    start = SensorModel.named(sensor)
     recordings = tactile_sim.read_recordings(
         source,
         solids,
@@ -239,7 +240,6 @@ def calibrate(
         unit=unit,
         opened=partial(source_options.open_source, sink),
     )
-    start = SensorModel.named(sensor)
     mistakes = tactile_sim.find_mistakes(recordings, start)
     for mistake in mistakes:
         sink.warn(f"{mistake.kind}: {mistake}")

@@ -71,9 +71,11 @@ class Optics(ABC):
         They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
         The gel is smoothed around the solid that they show, unless they are those of an elastic gel
         (a ``GelSurface``).
-        InputError for maps of another shape, smaller than ``min_side_px``, or not within 10 m, and for sizes
-        that no image has.
+        InputError for maps of another shape, smaller than ``min_side_px``, or not within 10 m, for anything
+        but a :class:`tactile_sim.Sensor`, and for sizes that no image has.
         """
+        if not isinstance(sensor, Sensor):
+            raise InputError(f"sensor is {shown(sensor)}; expected a Sensor, such as `model.sensor`")
         fits = is_real_array(depth_m) and depth_m.dtype in (np.float32, np.float64)
         if not fits or depth_m.ndim != 3 or min(depth_m.shape[1:]) < self.min_side_px:
             raise InputError(

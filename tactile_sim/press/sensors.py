@@ -440,6 +440,10 @@ def checked_sensor(sensor: object) -> SensorModel:
         return sensor
     if isinstance(sensor, str):
         return SensorModel.named(sensor)
-    if isinstance(sensor, Mapping) and set(sensor) <= set(SensorModel.geometry_names()):
+    names = SensorModel.geometry_names()
+    if isinstance(sensor, Mapping) and set(names) - {"source"} <= set(sensor) <= set(names):
         return SensorModel(**sensor)
-    raise InputError(f"the sensor is {sensor!r}; expected a SensorModel, or one of {', '.join(SENSORS)}")
+    raise InputError(
+        f"the sensor is {sensor!r}; expected a SensorModel, one of {', '.join(SENSORS)}, or a mapping of "
+        f"{', '.join(names)}"
+    )

@@ -66,6 +66,9 @@ def test_depth_pictures_are_grey_levels_of_the_depth_image():
     picture = make_optics("depth").render(depths, sensor, (32, 24))
     expected = (np.clip(depths, 0.002125, 0.00425) - 0.002125) / 0.002125 * 255
     assert np.abs(picture - expected[..., None]).max() <= 0.5 + 1e-4
+    for wrong in (7.0, tactile_sim.SENSORS["digit"]):
+        with pytest.raises(InputError, match="expected a Sensor, such as"):
+            make_optics("depth").render(depths, wrong, (32, 24))
     assert make_optics("depth").render(depths[:0], sensor, (16, 12)).shape == (0, 12, 16, 3)
 
 

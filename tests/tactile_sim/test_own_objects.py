@@ -248,8 +248,13 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
         tactile_sim.TouchSetSpec(optics="taxim", sensor="digit")
     with pytest.raises(InputError, match="sensor is 'finger'; expected one of gelsight-mini, digit, gels"):
         tactile_sim.SensorModel.named("finger")
-    with pytest.raises(InputError, match="the sensor is 3; expected a SensorModel"):
-        tactile_sim.TouchSetSpec(optics="depth", sensor=3)
+    for sensor in (3, {}, {"name": "thin"}, {**THIN.to_dict(), "press_mm": 1}):
+        with pytest.raises(InputError, match=r"the sensor is .*; expected a SensorModel.* a mapping of name"):
+            tactile_sim.TouchSetSpec(optics="depth", sensor=sensor)
+    # Named before the recordings are read.
+    words = ("calibrate", tmp_path / "none", "--solids", tmp_path / "none", "--out", tmp_path / "twin")
+    assert call("tactile-sim", *words, "--start", "finger") == 2
+    assert "--start is 'finger'" in capsys.readouterr().err
     with pytest.raises(InputError, match="4,096 touches in a round; expected at most 1,024"):
         tactile_sim.TouchSetSpec(optics="depth", sensor="digit", plan=tactile_sim.TouchPlan(1, 4096))
     for change, words in (
