@@ -24,7 +24,7 @@ import pyarrow as pa
 from realtouch import touch_options
 from realtouch.convert import conversion, picture_files
 from realtouch.formats.exports import NamedImage, TouchFormat
-from realtouch.importing import cuts, source_files, source_touches
+from realtouch.importing import cuts, source_files, source_touches, streams
 from realtouch.touches import media
 from realtouch.video import video_files, videos
 from tactile_toolkit import errors, read, store, wording
@@ -128,7 +128,8 @@ def find_video(
 
     The fields of videos are in a table: the one that was named, or the only one in the folder whose column of
     files names some videos. A video without a row has a problem then, and so has a row without a video.
-    Without a table, the folder of a video is its class if all videos are in folders, two or more.
+    Without a table, the folder of a video is its class if all videos are in folders, two or more. If there is
+    one video, other tables with times are its streams.
     """
     folder, paths = source_files.files_to_read(
         home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
@@ -136,6 +137,7 @@ def find_video(
     stems = Counter(map(_stem, paths))
     column = columns.image or _FILE
     rows = _table_of_videos(folder, columns, column, table, paths, ledger)
+    read_video = partial(_recording, of_one=_streams_of_one(home, columns, paths, ledger))
     if rows is None:
         classes = _classes(paths)
         if classes:
@@ -143,7 +145,7 @@ def find_video(
             ledger.notes[f"the classes are the folders, such as {name!r} of {paths[0]!r}"] = None
         problems = source_files.problems_of_names(paths)
         for number, path in enumerate(paths):
-            yield _recording(
+            yield read_video(
                 folder, path, {column: path, **classes.get(path, {})}, problems.get(number), stems
             )
         return
@@ -151,7 +153,7 @@ def find_video(
     problems = source_files.problems_of_names(named)
     problems |= source_files.duplicates_of(named, source_files.FILE_OF_TABLE)
     for row, path in enumerate(named):
-        yield _recording(folder, path, rows.values(row), problems.get(row), stems)
+        yield read_video(folder, path, rows.values(row), problems.get(row), stems)
     unnamed = errors.ItemError("table", "no row of the table names this video; expected one")
     in_table = {*named}
     for path in [path for path in paths if path not in in_table]:
@@ -164,6 +166,7 @@ def _recording(
     fields: Mapping[str, object],
     problem: errors.ItemError | None,
     stems: Mapping[str, int],
+    of_one: Sequence[source_touches.Stream] = (),
 ) -> source_touches.Recording:
     """Return a video with its fields; one that cannot be used has a problem and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
@@ -175,8 +178,35 @@ def _recording(
             problem = error
     source = (folder.address(), path, video.conversion, 0, len(video), video.picture_bytes)
     return source_touches.Recording(
-        name, *source, fields, time_s=video.time_s, problem=problem, is_at_stated_rate=True
+        name,
+        *source,
+        fields,
+        time_s=video.time_s,
+        problem=problem,
+        is_at_stated_rate=True,
+        streams=tuple(of_one),
     )
+
+
+def _streams_of_one(
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    paths: Sequence[str],
+    ledger: source_files.Ledger,
+) -> list[source_touches.Stream]:
+    """Return the tables with times in the folder of a single video; with several, none is that of one."""
+    of_one: list[source_touches.Stream] = []
+    if len(paths) > 1:
+        return of_one
+    of_video = tuple(f"{_stem(paths[0])}{mark}" for mark in "._")
+    for name in source_files.visible_files(home, tables.Table.ENDINGS):
+        if name.startswith(of_video) or home.address(name) in ledger.used:
+            continue
+        with suppress(errors.InputError):  # it stays among the tables that were not named
+            stream = streams.open_stream(home, name, columns)
+            if stream.time_s is not None:
+                of_one.append(stream)
+    return of_one
 
 
 def _stem(path: str) -> str:

@@ -189,7 +189,9 @@ class Aligner:
         """
         if recording.problem is not None:
             return recording
-        for stream in recording.streams:
+        for stream in sorted(recording.streams, key=lambda stream: stream.rows != recording.frames):
+            if source_files.address_of(stream.address) in self._no_streams:
+                continue
             self.tables.add(stream.address)
             try:
                 recording, reports = with_streams(recording, [stream], self._how, self._columns)

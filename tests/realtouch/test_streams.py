@@ -426,3 +426,28 @@ def test_recordings_have_the_times_that_a_column_states(tmp_path: Path) -> None:
     broken = replace(given, per_frame=columns_of({"clock_ms": np.array([0, np.nan, 80, 120])}))
     assert "expected finite numbers" in str(aligner.aligned(broken).problem)
     assert aligner.aligned(replace(given, problem=ItemError("video", "cut short"))).time_s is None
+
+
+def test_tables_whose_times_fit_the_only_video_are_its_streams(tmp_path: Path) -> None:
+    """Those that do not fit, or have no times, are left out by name, and so are all beside several videos."""
+    home = tmp_path / "home"
+    home.mkdir()
+    pictures = [encode_image(np.full((24, 32, 3), 9 * number, np.uint8), "jpeg") for number in range(20)]
+    (home / "take1.avi").write_bytes(write_avi(pictures, 32, 24, 10.0))
+    for name, last_s in (("force", 1.9), ("pose", 1.9), ("long", 9.0)):
+        time_s = np.linspace(0, last_s, 100)
+        stream(home, {"time_s": time_s.tolist(), name: (2 * time_s).tolist()}, f"{name}.csv")
+    stream(home, {"n": [1, 2]}, "notes.csv")
+    assert len(realtouch.preview_import(home).streams) == 2
+    realtouch.import_touches(home, tmp_path / "out")
+    (touch,) = realtouch.load(tmp_path / "out", "train").touches()
+    for name in ("force", "pose"):
+        np.testing.assert_allclose(touch.extra[name], 0.2 * np.arange(20), atol=0.03)
+    left_out = store.read_manifest(store.open_folder(str(tmp_path / "out"))).spec["left_out"]
+    assert left_out[0].startswith("long: ")
+    assert "lasts 9.00 s" in left_out[0]
+    assert left_out[1:] == ["notes.csv (a table that was not named; see --table, --stream and --cut)"]
+    named = realtouch.preview_import(home, realtouch.ImportSpec(streams=(str(home / "force.csv"),)))
+    assert [report[:2] for report in named.streams] == [("take1", "pose"), ("take1", "force")]
+    (home / "take2.avi").write_bytes((home / "take1.avi").read_bytes())
+    assert not realtouch.preview_import(home).streams
