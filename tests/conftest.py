@@ -66,7 +66,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _NUMBERS = count()
-_EXTRAS = ("browser", "envs", "libraries", "oracle", "ray", "s3", "sim", "simulators", "slicer", "torch")
+_EXTRAS = (
+    "browser",
+    "envs",
+    "libraries",
+    "mujoco",
+    "oracle",
+    "ray",
+    "s3",
+    "sim",
+    "simulators",
+    "slicer",
+    "torch",
+)
 
 
 _LONG = (

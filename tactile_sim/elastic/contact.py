@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,9 @@ from tactile_sim.user_values import real_array, shown
 from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Bool, Float64
+
+if TYPE_CHECKING:
+    from tactile_sim.elastic.solver import ContactProblem, Solution
 
 # Range for which single precision and the tables of the layer suffice.
 _MIN_DEPTH_M, _MAX_DEPTH_M = 1e-9, 1.0
@@ -27,7 +30,8 @@ _MAX_SLIDE_M = 1.0
 _MAX_TWIST_RAD = math.pi
 _MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
-_MAX_RESIDUAL = 0.01  # of a solution; the solver ends at 0.0007 unless it fails
+MAX_RESIDUAL = 0.01
+"""Greatest residual of a solution; the solver ends at 0.0007 unless it fails."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,10 +219,15 @@ def require_solved(contact: ElasticContact, thickness_m: float) -> None:
             "the thickness of the gel",
             next="give a smaller force, or a larger body",
         )
-    if not contact.residual <= _MAX_RESIDUAL:
+    require_residual(contact.residual, contact.iterations)
+
+
+def require_residual(residual: float, iterations: int) -> None:
+    """Refuse errors of gaps, relative to the depth, that are too large (InputError)."""
+    if not residual <= MAX_RESIDUAL:
         raise InputError(
-            f"the contact was not solved: after {contact.iterations:,} steps, gaps are off by "
-            f"{contact.residual:.2g} of the depth; expected at most {_MAX_RESIDUAL:g}",
+            f"the contact was not solved: after {iterations:,} steps, gaps are off by "
+            f"{residual:.2g} of the depth; expected at most {MAX_RESIDUAL:g}",
             next="give a smaller slide, twist or friction, or a body without single high pixels",
         )
 
@@ -252,46 +261,81 @@ def _solve(
     motion: tuple[float, float, float],
     block_px: int,
 ) -> ElasticContact:
-    # Importing numba takes half a second.
-    from tactile_sim.elastic import layer, solver, steps
-
     coarse = heights
     if block_px > 1:
         blocks = heights.reshape(-1, block_px, heights.shape[1] // block_px, block_px)
         coarse = blocks.mean(axis=(1, 3))
     width_m, height_m = (size * block_px for size in pixel_m)
-    tables = layer.layer_of(
-        coarse.shape, (width_m, height_m), gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
-    )
     # The highest point of the body lies higher than the highest mean.
     higher = heights.max() - coarse.max()
     number, is_force = target
     pressure_or_depth = number / (width_m * height_m)
     if not is_force:
         pressure_or_depth = max(number - higher, _MIN_DEPTH_M)
-    stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
-    problem = solver.ContactProblem(
-        coarse.max() - coarse,
-        (width_m, height_m),
-        pressure_or_depth,
-        is_force,
-        gel.friction,
-        motion,
-        tables,
-        stiffness,
+    x_m, y_m = pixel_positions_m(coarse.shape, (width_m, height_m))
+    slide_x_m, slide_y_m, twist_rad = motion
+    motion_m = np.stack(np.broadcast_arrays(slide_x_m - twist_rad * y_m, slide_y_m + twist_rad * x_m))
+    problem = contact_problem(
+        coarse.max() - coarse, (width_m, height_m), gel, thickness_m, (pressure_or_depth, is_force), motion_m
     )
     solution = problem.solve()
     force_n, torque_n_m = _resultants(solution.fields[:3], (width_m, height_m))
     depth = solution.depth_m + higher if is_force else number
+    return contact_of(solution, depth - (heights.max() - heights), block_px, force_n, torque_n_m)
+
+
+def contact_problem(
+    below_m: Float64,
+    pixel_m: tuple[float, float],
+    gel: Gel,
+    thickness_m: float,
+    target: tuple[float, bool],
+    motion_m: Float64,
+) -> ContactProblem:
+    """Return the problem of a body whose points are ``below_m`` (R, C) its highest one, metres.
+
+    ``target`` is the sum of the pressures, Pa, or the depth, metres, and whether it is the former;
+    ``motion_m`` (2, R, C) how far the body moves along x and y.
+    """
+    # Importing numba takes half a second.
+    from tactile_sim.elastic import layer, solver
+
+    tables = layer.layer_of(below_m.shape, pixel_m, gel.shear_modulus_pa, gel.poisson_ratio, thickness_m)
+    width_m = math.sqrt(pixel_m[0] * pixel_m[1]) * below_m.shape[1]
+    stiffness = gel.youngs_modulus_pa / min(thickness_m, width_m)
+    return solver.ContactProblem(below_m, *target, gel.friction, motion_m, tables, stiffness)
+
+
+def surface_of(fields: Float64, body_m: Float64, block_px: int) -> tuple[Float64, Bool]:
+    """Return how far the surface is displaced along z, and where it is in contact, (H, W).
+
+    It is the body (H, W) in the contact, and lies outside of it elsewhere. ``fields`` (2, R, C) are the
+    displacement along z and 1 in the contact, of blocks of pixels.
+    """
+    from tactile_sim.elastic import steps
+
+    inward_m, is_contact = fields if block_px == 1 else steps.bring_up(fields, block_px)
+    is_body: Bool = (is_contact > _HALF) | (body_m > inward_m)
+    surface_m: Float64 = np.where(is_body, body_m, inward_m)
+    return surface_m, is_body
+
+
+def contact_of(
+    solution: Solution,
+    body_m: Float64,
+    block_px: int,
+    force_n: tuple[float, float, float],
+    torque_n_m: tuple[float, float, float],
+) -> ElasticContact:
+    """Return a solved contact in pixels, of a body with heights ``body_m`` (H, W) above the gel at rest."""
+    from tactile_sim.elastic import steps
+
     fields = solution.fields
     if block_px > 1:
         fields = steps.bring_up(fields, block_px)
-    # The surface is the body in the contact, and lies outside of it elsewhere.
-    body_m = depth - (heights.max() - heights)
-    is_contact = (fields[6] > _HALF) | (body_m > fields[5])
-    np.copyto(fields[5], body_m, where=is_contact)
+    fields[5], is_contact = surface_of(fields[5:7], body_m, 1)
     return ElasticContact(
-        depth,
+        max(float(body_m.max()), 0.0),
         fields[0],
         np.moveaxis(fields[1:3], 0, 2),
         np.moveaxis(fields[3:6], 0, 2),
@@ -304,14 +348,20 @@ def _solve(
     )
 
 
+def pixel_positions_m(shape: tuple[int, ...], pixel_m: tuple[float, float]) -> tuple[Float64, Float64]:
+    """Return x (C,) and y (R, 1) of the pixels of a map, metres from its middle; row 0 at the greatest y."""
+    rows, columns = shape
+    x_m = (np.arange(columns, dtype=np.float64) - (columns - 1) / 2) * pixel_m[0]
+    y_m = ((rows - 1) / 2 - np.arange(rows, dtype=np.float64)) * pixel_m[1]
+    return x_m, y_m[:, None]
+
+
 def _resultants(
     loads: Float64, pixel_m: tuple[float, float]
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Return force (N) and torque (N m) about the centre of pressure and traction (3, R, C), Pa."""
     p, q_x, q_y = pixel_m[0] * pixel_m[1] * loads
-    rows, columns = p.shape
-    x = (np.arange(columns) - (columns - 1) / 2) * pixel_m[0]
-    y = (((rows - 1) / 2 - np.arange(rows)) * pixel_m[1])[:, None]
+    x, y = pixel_positions_m(p.shape, pixel_m)
     force = (float(q_x.sum()), float(q_y.sum()), float(p.sum()))
     return force, (float((y * p).sum()), float((-x * p).sum()), float((x * q_y - y * q_x).sum()))
 

@@ -44,9 +44,14 @@ class Layer:
 
     Attributes
     ----------
-    lengths, spectra
-        Lengths of the Fourier transforms along y and x, and those of the kernels by name; see
-        :func:`transforms`.
+    lengths : tuple of int
+        Lengths of the Fourier transforms along y and x.
+    inward : ndarray of complex64, shape (Y, X)
+        Transform of the displacement along z by pressure, "zz".
+    along, across : ndarray of complex64, shape (2, Y, X), (Y, X)
+        Those by traction: "xx" and "yy", and "xy".
+    aside : ndarray of complex64, shape (2, Y, X)
+        Those of the displacement along x and y by pressure, "xz" and "yz".
     stencils : ndarray of float32, shape (3, 4)
         Approximate pressure and tractions along x and y for a displacement: weights of a pixel, of its
         neighbours along x and along y, and of its diagonal neighbours, Pa / m.
@@ -55,7 +60,10 @@ class Layer:
     """
 
     lengths: tuple[int, int]
-    spectra: dict[str, Complex64]
+    inward: Complex64
+    along: Complex64
+    across: Complex64
+    aside: Complex64
     stencils: Float32
     own_shear: float
 
@@ -79,8 +87,15 @@ def layer_of(
         stencils = np.array([_stencil(kernels[name]) for name in ("zz", "xx", "yy")], np.float32)
     lengths, spectra = transforms(kernels)
     own = float(kernels["xx"][0, 0] + kernels["yy"][0, 0]) / 2
+    single = {name: spectrum.astype(np.complex64) for name, spectrum in spectra.items()}
     return Layer(
-        lengths, {name: spectrum.astype(np.complex64) for name, spectrum in spectra.items()}, stencils, own
+        lengths,
+        single["zz"],
+        np.stack([single["xx"], single["yy"]]),
+        single["xy"],
+        np.stack([single["xz"], single["yz"]]),
+        stencils,
+        own,
     )
 
 

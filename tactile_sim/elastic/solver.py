@@ -21,6 +21,12 @@ _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, rela
 _MAX_PASSES = 20  # of pressure and shear, each with the displacement that the other one makes
 _FIRST_PASS = 30.0  # factor of the tolerances in the first pass, which only starts the others
 _MAX_STEPS = 300
+# Of a contact that moves. With one pass a step, the force lags behind the motion, and bodies gain energy. At
+# 3e-4, the force on a body at rest swings by a thousandth; at 1e-4, by a hundred-thousandth.
+# The first pass only predicts the coupling of the second one.
+_STEP_TOLERANCES = ((1e-3, 1e-3), (1e-4, 1e-4))  # of pressure and traction, in each pass
+_LEAST_MOTION = 2e-3  # share of the depth; at least this much in a step is a motion that goes on
+_SIMILAR = (0.7, 1.5)  # ratios of depths within which the last pressure is a good first guess
 _FAR_M = 1e6
 
 
@@ -47,24 +53,23 @@ class Solution(NamedTuple):
 
 
 class ContactProblem:
-    """A body that is pressed in, then moved and turned; see :func:`tactile_sim.solve_contact`.
+    """A body that is pressed in, and whose surface moves; see :func:`tactile_sim.solve_contact`.
 
-    Its loads and displacements change while it is solved; they are fields of n pixels.
+    Its loads and displacements change while it is solved; they are fields of n pixels. A contact that moves
+    on is solved step by step, see :meth:`follow`.
 
     Parameters
     ----------
     below_m : ndarray of float64, shape (R, C)
         How far the body is below its highest point, metres, row 0 at the greatest y.
-    pixel_m : tuple of float
-        Width and height of a pixel, metres.
     target : float
         Sum of the pressures, Pa, if ``is_force``; else the depth, metres.
     is_force : bool
         What the target is.
     friction : float
         Coefficient of friction.
-    motion : tuple of float
-        Slide along x and y, metres, and twist, radians.
+    motion_m : ndarray of float64, shape (2, R, C)
+        How far the body moves along x and y, metres.
     layer : Layer
         Tables for the window.
     start : float
@@ -87,11 +92,10 @@ class ContactProblem:
     def __init__(
         self,
         below_m: Float64,
-        pixel_m: tuple[float, float],
         target: float,
         is_force: bool,
         friction: float,
-        motion: tuple[float, float, float],
+        motion_m: Float64,
         layer: Layer,
         start: float,
     ) -> None:
@@ -99,23 +103,18 @@ class ContactProblem:
         self._target = target
         self._is_force = is_force
         self._friction = friction
+        self._start = start
         self._shape = (below_m.shape[0] + 2, below_m.shape[1] + 2)
-        self._below = np.pad(below_m[::-1], 1, constant_values=_FAR_M).astype(np.float32).ravel()
-        y, x = (
-            (np.arange(count) - (count - 1) / 2) * size
-            for count, size in zip(self._shape, pixel_m[::-1], strict=True)
-        )
-        x, y = np.meshgrid(x, y)
-        self._motion = np.array(
-            [motion[0] - motion[2] * y.ravel(), motion[1] + motion[2] * x.ravel()], np.float32
-        )
+        self._below = _flat(below_m, _FAR_M)
+        self._motion = _flat(motion_m, 0.0)
         self.p = _first_guess(self._below, target, is_force, start)
         self._pressed = self._transformed(self.p)
-        self.u = self._displacement(self._pressed * layer.spectra["zz"])
+        self.u = self._displacement(self._pressed * layer.inward)
         self.q, self.bend = np.zeros((2, 2, self.p.size), np.float32)
         self.lifted, self.bound = np.zeros((2, self.p.size), np.float32)
         self.slips = np.zeros(self.p.size, np.bool_)
         self.depth_m = self.worst_m = 0.0
+        self._last = (self.p, self.u, self.q, 0.0)  # loads before the last step, and the change in it
 
     def solve(self) -> Solution:
         """Solve the press and the motion."""
@@ -132,6 +131,44 @@ class ContactProblem:
             iterations += self.shear(looseness * _SHEAR_TOLERANCE)
         else:
             self.press(math.inf)  # only the error
+        return self._solution(iterations)
+
+    def follow(self, below_m: Float64, depth_m: float, motion_m: Float64) -> Solution:
+        """Solve the next step of a contact that moves; arguments as of the class, to a depth in metres."""
+        below = _flat(below_m, _FAR_M)
+        motion = _flat(motion_m, 0.0)
+        risen = np.float32(depth_m - self._target) - (below - self._below)
+        change = float(max(np.abs(risen).max(), np.abs(motion - self._motion).max()))
+        is_similar = _SIMILAR[0] <= depth_m / self._target <= _SIMILAR[1]
+        self._below = below
+        self._motion = motion
+        self._target = depth_m
+        self._predict(change, is_similar)
+        iterations = 0
+        for press_tolerance, shear_tolerance in _STEP_TOLERANCES:
+            iterations += self.press(press_tolerance)
+            self.push_aside()
+            if self._friction > 0.0:
+                iterations += self.shear(shear_tolerance)
+        return self._solution(iterations)
+
+    def _predict(self, change: float, is_similar: bool) -> None:
+        """Let the loads change as in the last step, in proportion to the motion; not at all at rest."""
+        last_p, last_u, last_q, last_change = self._last
+        self._last = (self.p.copy(), self.u, self.q.copy(), change)
+        # Nearly at rest, it would repeat the errors that are within the tolerance.
+        moves = min(change, last_change) > _LEAST_MOTION * self._target
+        share = np.float32(min(change / last_change, 1.0) if moves else 0.0)
+        self.q += share * (self.q - last_q)
+        if is_similar:
+            self.u = self.u + share * (self.u - last_u)
+            self.p = np.maximum(self.p + share * (self.p - last_p), np.float32(0.0))
+        else:
+            self.p = _first_guess(self._below, self._target, False, self._start)
+            self._pressed = self._transformed(self.p)
+            self.u = self._displacement(self._pressed * self._layer.inward)
+
+    def _solution(self, iterations: int) -> Solution:
         is_stick = (self.bound > 0.0) & ~self.slips
         along = self.bend + self.aside
         fields = np.vstack([self.p, self.q, along, self.u + self.lifted, self.p > 0.0, is_stick])
@@ -156,18 +193,17 @@ class ContactProblem:
             if self.worst_m <= tolerance * abs(self.depth_m):
                 break
             self._pressed = self._transformed(self.p)
-            self.u = self._displacement(self._pressed * self._layer.spectra["zz"])
+            self.u = self._displacement(self._pressed * self._layer.inward)
         return count
 
     def push_aside(self) -> None:
         """Find the displacement along the surface by the pressure, and the limits of the traction."""
-        pushed = [self._pressed * self._layer.spectra[name] for name in ("xz", "yz")]
-        self.aside = self._displacement(np.stack(pushed))
+        self.aside = self._displacement(self._pressed * self._layer.aside)
         self.bound = np.float32(self._friction) * self.p
 
     def shear(self, tolerance: float) -> int:
         """Solve for the traction, and find how far it lifts the surface; return the number of steps."""
-        spectra = self._layer.spectra
+        layer = self._layer
         bound = self.bound
         motion = self._motion - self.aside
         # Pixels that slipped before start on the new limit.
@@ -179,25 +215,22 @@ class ContactProblem:
         control = np.array(steps.FIRST_CONTROL)
         self.slips[:] = False
         for count in range(_MAX_STEPS + 1):
-            along_x, along_y = self._transformed(self.q)
-            bent = np.stack(
-                [
-                    spectra["xx"] * along_x + spectra["xy"] * along_y,
-                    spectra["xy"] * along_x + spectra["yy"] * along_y,
-                ]
-            )
+            sheared = self._transformed(self.q)
+            bent = layer.along * sheared
+            bent += layer.across * sheared[::-1]
             self.bend = self._displacement(bent)
             left = steps.shear_step(
                 steps.ShearFields(self.q, self.bend, motion, bound, self.slips, damping, error, step),
                 self._shape[1],
-                self._layer.stencils[1:],
-                self._layer.own_shear,
+                layer.stencils[1:],
+                layer.own_shear,
                 control,
                 tolerance if count < _MAX_STEPS else math.inf,
             )
             if left <= tolerance:
                 break
-        self.lifted = self._displacement(-spectra["xz"] * along_x - spectra["yz"] * along_y)
+        sheared *= layer.aside
+        self.lifted = -self._displacement(sheared[0] + sheared[1])
         return count
 
     def _transformed(self, loads: Float32) -> Complex64:
@@ -211,6 +244,14 @@ class ContactProblem:
         waves = ifft(spectra, axis=-2, overwrite_x=True)[..., :rows, :]
         displacement = irfft(waves, self._layer.lengths[1])[..., :columns]
         return displacement.reshape(*spectra.shape[:-2], rows * columns)
+
+
+def _flat(field_m: Float64, border_m: float) -> Float32:
+    """Return fields (..., R, C) as the solver has them: (..., n), with a border, from the least y."""
+    count, rows, columns = (1, *field_m.shape)[-3:]
+    flat = np.full((count, rows + 2, columns + 2), border_m, np.float32)
+    flat[:, 1:-1, 1:-1] = field_m[..., ::-1, :]
+    return flat.reshape(*field_m.shape[:-2], -1)
 
 
 def _first_guess(below: Float32, target: float, is_force: bool, start: float) -> Float32:

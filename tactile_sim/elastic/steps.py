@@ -225,7 +225,7 @@ def bring_up(fields: Float64, block_px: int) -> Float64:
     """Return fields (n, h, w) of blocks in the size of their pixels, linear between the centres of blocks."""
     count, rows, columns = fields.shape
     out = np.empty((count, rows * block_px, columns * block_px))
-    line = np.empty(columns)
+    line = np.empty(columns + 1)
     for field in range(count):
         for row in range(rows * block_px):
             above, down = _between(row, rows, block_px)
@@ -233,10 +233,18 @@ def bring_up(fields: Float64, block_px: int) -> Float64:
             second = fields[field, min(above + 1, rows - 1)]
             for column in range(columns):
                 line[column] = first[column] + down * (second[column] - first[column])
-            for column in range(columns * block_px):
-                left, across = _between(column, columns, block_px)
-                value = line[left]
-                out[field, row, column] = value + across * (line[min(left + 1, columns - 1)] - value)
+            line[columns] = line[columns - 1]
+            target = out[field, row]
+            for column in range(block_px):
+                # The same fraction of the distance between two blocks in all blocks.
+                position = (column + 0.5) / block_px - 0.5
+                before = 1 if position < 0.0 else 0
+                across = position + before
+                target[column] = line[0] + (1 - before) * across * (line[1] - line[0])
+                for block in range(before, columns):
+                    value = line[block - before]
+                    next_value = line[block - before + 1]
+                    target[block * block_px + column] = value + across * (next_value - value)
     return out
 
 

@@ -9,7 +9,14 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic.contact import ElasticContact, Gel, GelLoad, require_solved, solve_unjudged
+from tactile_sim.elastic.contact import (
+    ElasticContact,
+    Gel,
+    GelLoad,
+    pixel_positions_m,
+    require_solved,
+    solve_unjudged,
+)
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD, checked_markers
 from tactile_sim.press.sensors import Sensor, checked_size_px
 from tactile_sim.user_values import finite_array, read_values, real_array, shown
@@ -21,7 +28,9 @@ MAX_SHARE = 0.5
 """Greatest press depth, as a share of the thickness of the gel; there, linear theory is only indicative."""
 
 # Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
-_SOLVED_M = 0.00024
+SOLVED_M = 0.00024
+"""Greatest width of blocks of pixels, metres."""
+
 _SAME = 1 + 1e-9  # sides that differ only by rounding
 _SLIP_REACH_M = 0.003  # distance at which the slip of a contact has decayed; slides are at most a third
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
@@ -48,8 +57,8 @@ class WholeGel:
     beside_px: tuple[int, int]
 
     @classmethod
-    def of(cls, sensor: Sensor) -> WholeGel:
-        """Extend a window to the whole gel, a whole number of blocks that are at most 0.24 mm wide.
+    def of(cls, sensor: Sensor, solved_m: float = SOLVED_M) -> WholeGel:
+        """Extend a window to the whole gel, a whole number of blocks that are at most ``solved_m`` wide.
 
         InputError for a window that is larger than the gel, or a gel of too many pixels.
         """
@@ -62,7 +71,7 @@ class WholeGel:
             )
         sides = zip(sensor.surface_m, sensor.window_m, sensor.pixel_m, strict=True)
         least = [max(0, round((surface - window) / 2 / pixel)) for surface, window, pixel in sides]
-        block_px = max(1, int(_SOLVED_M / max(sensor.pixel_m)))
+        block_px = max(1, int(solved_m / max(sensor.pixel_m)))
         while True:
             beside = [_filled(px, more, block_px) for px, more in zip(sensor.size_px, least, strict=True)]
             if None not in beside:
@@ -102,8 +111,12 @@ class WholeGel:
         inward_m = contact.displacement_m[..., 2]
         motion_m = _visible_motion(contact, load, sensor)
         show_surface(out, corner, inward_m, motion_m, sensor.pixel_m, sensor.gel_m)
-        maps = {name: getattr(contact, name)[rows, columns].copy() for name in _MAPS}
-        return replace(contact, **maps, torque_n_m=_about_axis(contact, sensor))
+        return replace(self.shown(contact), torque_n_m=_about_axis(contact, sensor))
+
+    def shown(self, contact: ElasticContact) -> ElasticContact:
+        """Return a contact with maps of the window instead of the whole gel."""
+        window = self.window()
+        return replace(contact, **{name: getattr(contact, name)[window].copy() for name in _MAPS})
 
     def contact(self, heights_m: Float64, load: GelLoad) -> ElasticContact:
         """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes.
@@ -143,11 +156,10 @@ def _visible_motion(contact: ElasticContact, load: GelLoad, sensor: Sensor) -> F
 
     rows, columns = contact.is_contact.shape
     width_m, height_m = sensor.pixel_m
-    x_m = (np.arange(columns) - (columns - 1) / 2) * width_m
-    y_m = ((rows - 1) / 2 - np.arange(rows)) * height_m
+    x_m, y_m = pixel_positions_m((rows, columns), (width_m, height_m))
     slide_x_m, slide_y_m, twist_rad = _motion_under(load, sensor)
     body_m = np.empty((rows, columns, 2))
-    body_m[..., 0] = slide_x_m - twist_rad * y_m[:, None]
+    body_m[..., 0] = slide_x_m - twist_rad * y_m
     body_m[..., 1] = slide_y_m + twist_rad * x_m
     gel_m = contact.displacement_m[..., :2]
     # Beside the contact, the slip of its nearest point, decreasing with the distance.

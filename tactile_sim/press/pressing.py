@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from tactile_sim.elastic.contact import ElasticContact, GelLoad, GelSurface
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
-from tactile_sim.press.sensors import Sensor, SensorModel, full_view
+from tactile_sim.press.sensors import Sensor, SensorModel, geometry_of
 from tactile_sim.user_values import finite_array, real_array, shown
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
@@ -100,7 +100,8 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
     InputError, which begins with ``name``, for anything that is not a rigid motion.
     """
     matrix = getattr(value, "matrix", value)
-    if isinstance(value, HasAsMatrix):
+    # The check of a protocol takes longer than all others.
+    if not isinstance(value, np.ndarray) and isinstance(value, HasAsMatrix):
         matrix = value.as_matrix()
     matrices = real_array(matrix)
     if matrices is None or matrices.shape[-2:] != (4, 4) or matrices.ndim > 3 or not matrices.size:
@@ -155,12 +156,15 @@ class Pressed:
         Those of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
         ``depth_m`` is then the surface of the gel, a ``GelSurface``, greater than its thickness where it
         bulges. Empty for other gels.
+    wrenches : ndarray of float64, shape (n, 6), or None
+        Of :func:`press_at` with an elastic gel: see :meth:`GelState.press`.
     """
 
     depth_m: Float64
     image: Float32
     sensor_z_m: float | Float64
     contacts: tuple[ElasticContact, ...] = ()
+    wrenches: Float64 | None = None
 
     @property
     def contact(self) -> ElasticContact:
@@ -221,12 +225,7 @@ def render_touch(
         A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it; a
         load is out of range, or its contact cannot be solved.
     """
-    if sensor is None:
-        sensor = full_view()
-    if isinstance(sensor, SensorModel):
-        sensor = sensor.sensor
-    if not isinstance(sensor, Sensor):
-        raise InputError(f"sensor is {shown(sensor)}; expected a Sensor or a SensorModel")
+    sensor = geometry_of(sensor)
     width_m, depth_m = finite_array(
         cell_m, "cell_m", (2,), "width and depth, metres", most=_MAX_CELL_M
     ).tolist()
@@ -320,8 +319,8 @@ class _Scene:
     def of(cls, setup: _Setup, sensor: Sensor) -> _Scene:
         from tactile_sim.press import press_kernels
 
-        affines = _to_pixels(inverse_times(setup.targets, setup.objects), sensor)
-        plates = _to_pixels(inverse_times(setup.targets, np.eye(4)[None]), sensor)
+        affines = to_pixels(inverse_times(setup.targets, setup.objects), sensor)
+        plates = to_pixels(inverse_times(setup.targets, np.eye(4)[None]), sensor)
         corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*setup.cell_m, 0.0] / 2
         ball_m = np.array([[0.0, 0.0, 0.0, max(setup.cell_m)]])
         solids = [Pressable.of(solid) for solid in setup.solids]
@@ -362,7 +361,7 @@ def _require_above_cell(targets: Float64, cell_m: tuple[float, float]) -> None:
     )
 
 
-def _to_pixels(poses: Float64, sensor: Sensor) -> Float64:
+def to_pixels(poses: Float64, sensor: Sensor) -> Float64:
     """Return maps from a body's frame to column, row from the bottom, and height; shape (n, 3, 4)."""
     affine = poses[:, :3].copy()
     for axis in range(2):

@@ -447,3 +447,14 @@ def checked_sensor(sensor: object) -> SensorModel:
         f"the sensor is {sensor!r}; expected a SensorModel, one of {', '.join(SENSORS)}, or a mapping of "
         f"{', '.join(names)}"
     )
+
+
+def geometry_of(sensor: Sensor | SensorModel | None) -> Sensor:
+    """Return the geometry of a sensor, of a GelSight Mini for None; InputError for anything else."""
+    if sensor is None:
+        return full_view()
+    if isinstance(sensor, SensorModel):
+        return sensor.sensor
+    if not isinstance(sensor, Sensor):
+        raise InputError(f"sensor is {type(sensor).__name__}; expected a Sensor or a SensorModel")
+    return sensor

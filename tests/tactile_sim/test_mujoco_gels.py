@@ -1,0 +1,333 @@
+"""Gels in MuJoCo: weight, bounces, momentum, rolling, slip and grasps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tactile_sim import Gel, GelWarning, center_view
+from tactile_toolkit.errors import InputError
+
+mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra mujoco")
+
+from tactile_sim import GelCallback, GelSensor, gel_geom_xml  # noqa: E402  # they need MuJoCo
+
+pytestmark = pytest.mark.mujoco
+
+SENSOR = center_view(32, 32)
+GRAVITY = 9.81
+FLAT = '<site name="gel" euler="180 0 0"/>'
+"""A gel that is fixed to the world, at its origin, and faces up."""
+
+
+@pytest.fixture(autouse=True)
+def no_callback() -> Iterator[None]:
+    """MuJoCo has one callback for all models, and compiles none while there is one."""
+    mujoco.set_mjcb_control(None)
+    yield
+    mujoco.set_mjcb_control(None)
+
+
+def simulation(body: str, step_s: float = 0.002, option: str = ""):
+    mujoco.set_mjcb_control(None)
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{step_s}" {option}/><asset><mesh name="wedge" vertex="0 0 0 .012 0 0 0 '
+        f'.012 0 0 0 .012"/></asset><worldbody>{body}</worldbody></mujoco>'
+    )
+    return model, mujoco.MjData(model)
+
+
+def ball(mass_kg: float, z_m: float, radius_m: float = 0.008) -> str:
+    return (
+        f'<body name="ball" pos="0 0 {z_m}"><freejoint/>'
+        f'<geom name="ball" type="sphere" size="{radius_m}" mass="{mass_kg}"/></body>'
+    )
+
+
+def steps(model, data, gels, count: int) -> None:
+    mujoco.set_mjcb_control(GelCallback(*gels))
+    for _ in range(count):
+        mujoco.mj_step(model, data)
+
+
+def test_a_ball_at_rest_bears_its_weight():
+    model, data = simulation(FLAT + ball(0.05, 0.0085))
+    gel = GelSensor(model, data, "gel", SENSOR)
+    steps(model, data, [gel], 300)
+    force_n = 0.05 * GRAVITY
+    np.testing.assert_allclose(gel.wrench[:3], [0, 0, force_n], atol=1e-3 * force_n)
+    assert gel.contact.force_n[2] == pytest.approx(force_n, rel=1e-3)
+    pressed_m = 0.008 - data.qpos[2]
+    assert gel.depth_m.min() == pytest.approx(SENSOR.gel_m - pressed_m, abs=1e-5)
+    assert np.unique(gel.image).size > 10
+    assert gel.markers_px((7, 9)).shape == (9, 7, 2)
+    assert abs(data.qvel[:3]).max() < 1e-3
+
+
+@pytest.mark.parametrize("step_s", [0.002, 0.0005])
+def test_an_elastic_gel_gives_back_the_energy_of_a_ball(step_s):
+    model, data = simulation(FLAT + ball(0.01, 0.013), step_s)
+    gel = GelSensor(model, data, "gel", SENSOR, relaxation_s=0.0)
+    mujoco.set_mjcb_control(GelCallback(gel))
+    heights_m = []
+    for _ in range(round(0.36 / step_s)):
+        mujoco.mj_step(model, data)
+        heights_m.append(data.qpos[2] - 0.008)
+    middle = np.array(heights_m[1:-1])
+    tops = middle[(middle > heights_m[:-2]) & (middle >= heights_m[2:]) & (middle > 0)]
+    assert len(tops) >= 4
+    np.testing.assert_allclose(tops, 0.005, rtol=0.03 if step_s > 0.001 else 0.003)
+
+
+GEOMS = {
+    "ball": 'type="sphere" size=".008"',
+    "box": 'type="box" size=".005 .006 .004" euler="20 30 0"',
+    "cylinder": 'type="cylinder" size=".006 .006" euler="70 0 0"',
+    "capsule": 'type="capsule" size=".004 .006" euler="80 0 10"',
+    "mesh": 'type="mesh" mesh="wedge"',
+}
+
+
+def dropped(geom: str, mass_kg: float, seed: int) -> float:
+    """Return what a body has gained, of the energy of its fall, when it leaves the gel."""
+    turn = np.random.default_rng(seed).uniform(-40, 40, 3)
+    model, data = simulation(
+        FLAT + f'<body pos="0 0 .018" euler="{turn[0]} {turn[1]} {turn[2]}"><freejoint/>'
+        f'<geom {GEOMS[geom]} mass="{mass_kg}"/></body>'
+    )
+    gel = GelSensor(model, data, "gel", SENSOR)
+    mujoco.set_mjcb_control(GelCallback(gel))
+    energies_j, touches = [], []
+    for _ in range(150):
+        mujoco.mj_step(model, data)
+        mujoco.mj_energyPos(model, data)
+        mujoco.mj_energyVel(model, data)
+        energies_j.append(data.energy.sum())
+        touches.append(gel.wrench[2] > 0)
+        # Later, it comes from the side of the gel.
+        if len(touches) > 1 and touches[-2] and not touches[-1]:
+            return (energies_j[-1] - energies_j[0]) / (mass_kg * GRAVITY * 0.01)
+    assert touches[-1]
+    return 0.0
+
+
+@pytest.mark.parametrize("geom", GEOMS)
+def test_a_gel_feels_all_types_of_geoms_and_adds_no_energy(geom):
+    assert dropped(geom, 0.005, 0) < 0.01
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::tactile_sim.loop.gel_state.GelWarning")
+@pytest.mark.parametrize("geom", GEOMS)
+def test_drops_add_no_energy(geom):
+    assert max(dropped(geom, 0.005, seed) for seed in range(24)) < 0.015
+
+
+def test_momentum_is_kept():
+    body = (
+        '<body name="slab" pos="0 0 -.01" euler="180 0 0"><freejoint/>'
+        '<geom type="box" size=".02 .02 .005" mass=".1" contype="0" conaffinity="0"/>'
+        '<site name="gel" pos="0 0 -.01"/></body>' + ball(0.02, 0.0085)
+    )
+    model, data = simulation(
+        body.replace('pos="0 0 0.0085"', 'pos=".004 .002 0.0085"'), 0.001, 'gravity="0 0 0"'
+    )
+    data.qvel[8] = -0.3
+    gel = GelSensor(model, data, "gel", SENSOR)
+    mujoco.mj_forward(model, data)
+    momentum, angular = momenta(model, data)
+    peak_n = 0.0
+    mujoco.set_mjcb_control(GelCallback(gel))
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+        peak_n = max(peak_n, gel.wrench[2])
+    assert peak_n > 0.5
+    assert gel.wrench[2] == 0
+    after, angular_after = momenta(model, data)
+    np.testing.assert_allclose(after, momentum, atol=1e-15)
+    np.testing.assert_allclose(angular_after, angular, atol=2e-4 * 0.02 * 0.3 * 0.01)
+
+
+def momenta(model, data) -> tuple[np.ndarray, np.ndarray]:
+    """Return the momentum of all bodies, and the angular one about the origin."""
+    mujoco.mj_forward(model, data)
+    total, angular = np.zeros((2, 3))
+    for body in range(1, model.nbody):
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
+        turn = data.ximat[body].reshape(3, 3)
+        spin = turn @ (model.body_inertia[body] * (turn.T @ velocity[:3]))
+        total += model.body_mass[body] * velocity[3:]
+        angular += spin + np.cross(data.xipos[body], model.body_mass[body] * velocity[3:])
+    return total, angular
+
+
+@pytest.mark.parametrize("geom", ["sphere", "cylinder"])
+def test_a_body_rolls_at_half_the_speed_of_a_gel_that_slides_over_it(geom):
+    size = '".005"' if geom == "sphere" else '".005 .008"'
+    lies = "" if geom == "sphere" else 'euler="90 0 0"'
+    model, data = simulation(
+        '<geom name="floor" type="plane" size="1 1 .1" friction="1"/>'
+        '<body name="hand" mocap="true" pos="0 0 .0095"><site name="gel"/></body>'
+        f'<body pos="0 0 .005" {lies}><freejoint/>'
+        f'<geom name="roll" type="{geom}" size={size} mass=".01" friction="1" condim="3"/></body>'
+    )
+    gel = GelSensor(model, data, "gel", SENSOR, geoms=["roll"])
+    mujoco.set_mjcb_control(GelCallback(gel))
+    hand_m, body_m = [], []
+    for step in range(300):
+        data.mocap_pos[0, 0] = 0.01 * 0.002 * max(step - 100, 0)
+        mujoco.mj_step(model, data)
+        hand_m.append(data.mocap_pos[0, 0])
+        body_m.append(data.qpos[0])
+    assert (body_m[-1] - body_m[150]) / (hand_m[-1] - hand_m[150]) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_block_that_is_pushed_is_carried_or_slips():
+    model, data = simulation(
+        FLAT + '<body name="block" pos="0 0 .0039"><freejoint/>'
+        '<geom type="box" size=".004 .004 .004" mass=".05"/></body>'
+    )
+    gel = GelSensor(model, data, "gel", SENSOR, Gel(friction=0.3))
+    mujoco.set_mjcb_control(GelCallback(gel))
+    block = model.body("block").id
+    for share, slips, count in ((0.25, False, 150), (0.35, True, 60)):
+        start_m = data.qpos[0]
+        for _ in range(count):
+            data.xfrc_applied[block, 0] = share * 0.05 * GRAVITY
+            mujoco.mj_step(model, data)
+        assert (data.qpos[0] - start_m > 0.002) == slips
+        force = gel.wrench
+        assert force[0] / force[2] == pytest.approx(0.3 if slips else share, rel=0.02)
+
+
+def hand(mass_kg: float) -> str:
+    """Two gels on fingers that close along x, on a hand that goes up."""
+
+    def finger(name: str, x_m: float, side: int) -> str:
+        return (
+            f'<body pos="{x_m} 0 0" xyaxes="0 {side} 0 0 0 1">'
+            f'<joint type="slide" axis="0 0 -1" name="{name}"/>'
+            f'{gel_geom_xml(name, SENSOR)}<geom type="box" size=".01 .008 .004" pos="0 0 .009" mass=".05" '
+            'contype="0" conaffinity="0"/></body>'
+        )
+
+    return (
+        '<geom name="floor" type="plane" size="1 1 .1"/><body name="hand" pos="0 0 .012">'
+        '<joint name="lift" type="slide" axis="0 0 1"/><geom size=".01" mass=".5" pos="0 0 .1" contype="0" '
+        f'conaffinity="0"/>{finger("left", -0.012, -1)}{finger("right", 0.012, 1)}</body>'
+        + ball(mass_kg, 0.01, 0.01)
+    )
+
+
+ACTUATORS = (
+    '<actuator><position joint="lift" kp="2000" dampratio="1"/><motor joint="left"/><motor joint="right"/>'
+    "</actuator>"
+)
+
+
+@pytest.mark.parametrize(("share", "holds"), [(0.3, True), (0.9, True), (1.1, False)])
+def test_two_fingers_hold_what_friction_bears(share, holds):
+    grip_n = 1.0
+    mass_kg = share * 2 * 0.5 * grip_n / GRAVITY
+    mujoco.set_mjcb_control(None)
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep=".002"/><worldbody>{hand(mass_kg)}</worldbody>{ACTUATORS}</mujoco>'
+    )
+    data = mujoco.MjData(model)
+    gels = [GelSensor(model, data, name, SENSOR, geoms=["ball"]) for name in ("left", "right")]
+    mujoco.set_mjcb_control(GelCallback(*gels))
+    for step in range(450):
+        data.ctrl[:] = min(max(step - 150, 0) * 1e-4, 0.02) + 0.5 * GRAVITY / 2000, grip_n, grip_n
+        mujoco.mj_step(model, data)
+    lifts_n = sum((gel.pose[:3, :3] @ gel.wrench[:3])[2] for gel in gels)
+    assert (data.body("ball").xpos[2] > 0.02) == holds
+    if holds:
+        assert lifts_n == pytest.approx(-mass_kg * GRAVITY, rel=2e-3)
+        assert gels[0].wrench[2] == pytest.approx(grip_n, rel=0.01)
+        before_m = data.body("ball").xpos[2] - data.body("hand").xpos[2]
+        for _ in range(150):
+            mujoco.mj_step(model, data)
+        creep_m = data.body("ball").xpos[2] - data.body("hand").xpos[2] - before_m
+        assert abs(creep_m) < 2e-6
+
+
+def test_a_callback_is_the_same_as_own_steps():
+    results = []
+    for is_callback in (True, False):
+        model, data = simulation(FLAT + ball(0.02, 0.0085))
+        gel = GelSensor(model, data, "gel", SENSOR)
+        callback = GelCallback(gel)
+        if is_callback:
+            mujoco.set_mjcb_control(callback)
+        for _ in range(40):
+            if is_callback:
+                mujoco.mj_step(model, data)
+            else:
+                mujoco.mj_step1(model, data)
+                callback(model, data)
+                mujoco.mj_step2(model, data)
+        results.append((data.qpos.copy(), gel.wrench))
+    np.testing.assert_array_equal(results[0][0], results[1][0])
+    np.testing.assert_array_equal(results[0][1], results[1][1])
+
+
+def test_forces_of_users_stay():
+    model, data = simulation(FLAT + ball(0.02, 0.0085) + ball(0.02, 0.1).replace('"ball"', '"free"'))
+    gel = GelSensor(model, data, "gel", SENSOR)
+    body, free = model.body("ball").id, model.body("free").id
+    data.xfrc_applied[free, 1] = 0.5
+    data.xfrc_applied[body, 2] = -0.1
+    steps(model, data, [gel], 200)
+    # Set once, it acts in each step.
+    assert gel.wrench[2] == pytest.approx(0.02 * GRAVITY + 0.1, rel=0.01)
+    assert data.xfrc_applied[free, 1] == 0.5
+    # Cleared, as viewers do, only the gel pushes.
+    for _ in range(200):
+        data.xfrc_applied[:] = 0
+        mujoco.mj_step(model, data)
+    assert gel.wrench[2] == pytest.approx(0.02 * GRAVITY, rel=0.01)
+    assert data.xfrc_applied[body, 2] == pytest.approx(gel.wrench[2])
+
+
+def test_a_gel_without_reaction_only_sees():
+    model, data = simulation(FLAT + ball(0.02, 0.0075), option='gravity="0 0 0"')
+    gel = GelSensor(model, data, "gel", SENSOR, reaction=False)
+    steps(model, data, [gel], 5)
+    assert gel.wrench[2] > 0.1
+    assert (data.xfrc_applied == 0).all()
+    assert data.qpos[2] == 0.0075
+
+
+def test_a_reset_begins_anew():
+    model, data = simulation(FLAT + ball(0.02, 0.0085))
+    gel = GelSensor(model, data, "gel", SENSOR)
+    steps(model, data, [gel], 100)
+    first = data.qpos.copy()
+    mujoco.mj_resetData(model, data)
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+    np.testing.assert_array_equal(data.qpos, first)
+
+
+def test_a_body_that_is_too_light_for_the_step_is_named():
+    model, data = simulation(FLAT + ball(0.0005, 0.0095), 0.004)
+    gel = GelSensor(model, data, "gel", SENSOR)
+    with pytest.warns(GelWarning, match="body 'ball' is too light for steps of 4 ms"):
+        steps(model, data, [gel], 20)
+
+
+def test_models_that_do_not_fit_are_refused():
+    model, data = simulation(FLAT + ball(0.02, 0.0085), option='integrator="RK4"')
+    with pytest.raises(InputError, match=r"no such site or geom.*'gel'"):
+        GelSensor(model, data, "gell")
+    with pytest.raises(InputError, match=r"no such site or geom.*'ball'"):
+        GelSensor(model, data, "gel", geoms=["bal"])
+    gel = GelSensor(model, data, "gel", SENSOR)
+    mujoco.mj_forward(model, data)
+    with pytest.raises(InputError, match="the integrator is RK4"):
+        GelCallback(gel)(model, data)
+    with pytest.raises(InputError, match="there are 0 gels"):
+        GelCallback()
