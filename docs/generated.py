@@ -28,6 +28,7 @@ API = (
     "realtouch.touch_tensors",
     "tactile_sim",
     "tactile_sim.learned",
+    "tactile_sim.mujoco",
     "tactile_sim.optics.rendering",
     "env_assets",
     "tactile_envs",

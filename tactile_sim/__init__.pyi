@@ -9,7 +9,6 @@ from .elastic.contact import (
 from .elastic.modulus import GelFit as GelFit, fit_youngs_modulus as fit_youngs_modulus
 from .loop.bodies import Shape as Shape
 from .loop.gel_state import GelState as GelState, GelWarning as GelWarning, press_at as press_at
-from .loop.mujoco import GelCallback as GelCallback, GelSensor as GelSensor, gel_geom_xml as gel_geom_xml
 from .press.elastic_press import (
     marker_grid_px as marker_grid_px,
     marker_positions_px as marker_positions_px,

@@ -14,9 +14,9 @@ from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import to_pixels
 from tactile_sim.press.sensors import Sensor
 from tactile_toolkit import checked_fields
-from tactile_toolkit.value_types import Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
+from tactile_toolkit.value_types import Float64, Int32
 
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "plane": 0}
 """Number of sizes of each kind of shape."""
@@ -48,7 +48,7 @@ class Shape:
     size_m: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.kind not in SIZES:
+        if not isinstance(self.kind, str) or self.kind not in SIZES:
             raise InputError(f"is {self.kind!r}; expected one of {', '.join(SIZES)}", field="kind")
         size = checked_fields.to_builtin(self.size_m, float)
         count = SIZES[self.kind]

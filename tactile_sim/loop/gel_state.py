@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_sim.user_values import shown
 from tactile_sim.elastic import contact as elastic
 from tactile_sim.loop.bodies import Body, PixelGrid, Shape, checked_body, raise_bodies
 from tactile_sim.press.elastic_press import MAX_SHARE, SOLVED_M, WholeGel
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import PoseLike, Pressed, as_matrices, inverse_times
 from tactile_sim.press.sensors import Sensor, SensorModel, geometry_of
-from tactile_toolkit.value_types import Float64, Int32
+from tactile_sim.user_values import finite_array, shown
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.value_types import Float64, Int32
 
 if TYPE_CHECKING:
     from tactile_sim.elastic.solver import ContactProblem
@@ -99,7 +99,8 @@ class GelState:
     gel : Gel, optional
         Material and friction of the gel.
     solved_m : float
-        Greatest width of the blocks of pixels that are solved as one, metres.
+        Greatest width of the blocks of pixels that are solved as one, metres; at most the thickness of the
+        gel.
 
     Attributes
     ----------
@@ -126,7 +127,14 @@ class GelState:
         self.gel = elastic.Gel() if gel is None else gel
         if not isinstance(self.gel, elastic.Gel):
             raise InputError(f"gel is {shown(gel)}; expected a Gel, such as tactile_sim.Gel()")
-        self._whole = WholeGel.of(self.sensor, solved_m)
+        width_m = float(finite_array(solved_m, "solved_m", (), "a width, metres"))
+        if not 0.0 < width_m <= self.sensor.gel_m:
+            raise InputError(
+                f"is {width_m:g} m; expected a number above 0, at most the thickness of the gel, "
+                f"{self.sensor.gel_m:g} m",
+                field="solved_m",
+            )
+        self._whole = WholeGel.of(self.sensor, width_m)
         self._grid = PixelGrid.of(self._whole.sensor, self._whole.block_px)
         self._warned: set[tuple[str, Hashable]] = set()
         self.reset()
@@ -306,10 +314,11 @@ class GelState:
             warnings.warn(f"body {key!r} {message}", GelWarning, stacklevel=4)
 
     @property
-    def depth_m(self) -> elastic.GelSurface:
-        """Distance of the surface of the gel from the sensor, metres, (H, W); see :class:`Pressed`."""
+    def depth_m(self) -> Float64:
+        """Distance of the surface of the gel from the sensor, metres, (H, W), a ``GelSurface``."""
         surface_m, _ = elastic.surface_of(self._solution.fields[5:7], self._heights_m, self._whole.block_px)
-        return (self.sensor.gel_m - surface_m[self._whole.window()]).view(elastic.GelSurface)
+        depth_m: Float64 = self.sensor.gel_m - surface_m[self._whole.window()]
+        return depth_m.view(elastic.GelSurface)
 
     @property
     def contact(self) -> elastic.ElasticContact:

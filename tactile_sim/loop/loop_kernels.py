@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from tactile_toolkit.value_types import Float64, Int32
 from tactile_toolkit.kernels import compiled, part
+from tactile_toolkit.value_types import Float64, Int32
 
 ELLIPSOID, CYLINDER, CAPSULE, BOX, PLANE = range(5)
 """Shapes of which the highest point on a line is known in closed form."""

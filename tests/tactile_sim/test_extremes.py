@@ -93,6 +93,18 @@ CALLS: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
             "post_radius_m": None,
         },
     ),
+    "Shape": (tactile_sim.Shape, {"kind": "box", "size_m": (0.01, 0.01, 0.01)}),
+    "press_at": (
+        tactile_sim.press_at,
+        {
+            "solids": [tactile_sim.Shape("sphere", (0.004,))],
+            "object_poses": tactile_sim.pose(0.0, 0.0, -0.0035),
+            "sensor_pose": tactile_sim.pose(),
+            "sensor": SENSOR,
+            "gel": tactile_sim.Gel(),
+        },
+    ),
+    "GelState": (tactile_sim.GelState, {"sensor": SENSOR}),
     "marker_grid_px": (tactile_sim.marker_grid_px, {"markers": (2, 3), "size_px": (32, 24)}),
     "marker_positions_px": (
         tactile_sim.marker_positions_px,
@@ -193,7 +205,15 @@ OBJECTS = (bool, tactile_sim.Pressable, tactile_sim.Recordings, type(ball()))
 
 
 NOT_TRIED = {
-    *("ElasticContact", "GelFit", "Pressed", "Mistake", "SensorHealth", "TouchPreview"),  # results
+    *(
+        "GelWarning",
+        "ElasticContact",
+        "GelFit",
+        "Pressed",
+        "Mistake",
+        "SensorHealth",
+        "TouchPreview",
+    ),  # results
     "GelLoad",  # is checked where it is used
     *("TouchGenerator", "PairGenerator", "generate", "make_pairs"),  # take specifications and names
     *("read_recordings", "images_of"),  # take names

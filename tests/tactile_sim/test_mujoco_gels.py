@@ -12,7 +12,7 @@ from tactile_toolkit.errors import InputError
 
 mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra mujoco")
 
-from tactile_sim import GelCallback, GelSensor, gel_geom_xml  # noqa: E402  # they need MuJoCo
+from tactile_sim.mujoco import GelCallback, GelSensor, gel_geom_xml  # noqa: E402  # it needs MuJoCo
 
 pytestmark = pytest.mark.mujoco
 

@@ -1,4 +1,7 @@
-"""Gels in MuJoCo: what they feel of the geoms of a model, and the forces with which they push back."""
+"""Gels in MuJoCo: what they feel of the geoms of a model, and the forces with which they push back.
+
+Needs the extra ``mujoco``.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_sim.elastic.contact import ElasticContact, Gel, GelSurface
+from tactile_sim.elastic.contact import ElasticContact, Gel
 from tactile_sim.loop.bodies import SIZES, Shape
 from tactile_sim.loop.gel_state import GelState
 from tactile_sim.optics.rendering import make_optics
@@ -16,12 +19,14 @@ from tactile_sim.press.elastic_press import MAX_SHARE, marker_positions_px
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Renderer, inverse_times
 from tactile_sim.press.sensors import Sensor, SensorModel, geometry_of
-from tactile_toolkit.value_types import Float64, Int32, UInt8
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.value_types import Float64, Int32, UInt8
 
 with needs_extra("a gel in MuJoCo", "mujoco", "mujoco"):
     import mujoco
+
+__all__ = ["GelCallback", "GelSensor", "gel_geom_xml"]
 
 RELAXATION_S = 0.001
 """Time in which the force of a gel relaxes, seconds: without it, bodies of a few grams bounce too high."""
@@ -117,7 +122,7 @@ class GelSensor:
         return wrench
 
     @property
-    def depth_m(self) -> GelSurface:
+    def depth_m(self) -> Float64:
         """Distance of the surface of the gel from the sensor, metres, (H, W)."""
         return self.state.depth_m
 
