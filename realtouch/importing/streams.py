@@ -434,8 +434,9 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
         if whole.shape[1] in _WITH_QUATERNION:
             between = around.interpolated(whole)
             between[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
-            parts = [between] if len(pose) == 1 else list(between.T)
-            interpolated |= zip(pose, parts, strict=True)
+            ends = np.cumsum([numbers[name].size // len(whole) for name in pose])
+            parts = zip(pose, np.split(between, ends[:-1], axis=1), strict=True)
+            interpolated |= {name: part.reshape(-1, *numbers[name].shape[1:]) for name, part in parts}
     return {name: _with_gaps(values, around) for name, values in interpolated.items()}
 
 

@@ -120,19 +120,23 @@ def test_pictures_in_gaps_have_missing_values(tmp_path: Path) -> None:
     assert said(found)["word"].tolist() == [*"aaaaaabcccdddeeeeee", None, None]
 
 
-def test_vectors_dates_and_text(tmp_path: Path) -> None:
+@pytest.mark.parametrize("names", [("pose",), ("at", "turn")])
+def test_vectors_dates_and_text(names: tuple[str, ...], tmp_path: Path) -> None:
     stamps = [f"2026-01-31T12:00:0{number}.5Z" for number in range(4)]
     start = 1769860800.0
-    columns = {"timestamp": stamps, "pose": [[0.0, number, 0, 0, 0, 0, 1] for number in range(4)]}
-    given = stream(tmp_path, columns, "take1.jsonl")
+    poses = np.array([[0.0, number, 0, 0, 0, 0, 1] for number in range(4)])
+    parts = np.split(poses, [7] if len(names) == 1 else [3], axis=1)
+    columns = {name: part.tolist() for name, part in zip(names, parts, strict=False)}
+    given = stream(tmp_path, {"timestamp": stamps, **columns}, "take1.jsonl")
     found, _ = with_streams(
         recording(start + np.array([0.5, 2.0, 3.5])),
         [given],
         Alignment(method="linear", max_gap_ms=2000.0),
-        ImportColumns(pose=("pose",)),
+        ImportColumns(pose=names),
     )
-    np.testing.assert_allclose(said(found)["pose"][:, 1], [0, 1.5, 3], rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(said(found)["pose"][:, 3:], [[0, 0, 0, 1]] * 3)
+    aligned = np.hstack([said(found)[name] for name in names])
+    np.testing.assert_allclose(aligned[:, 1], [0, 1.5, 3], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(aligned[:, 3:], [[0, 0, 0, 1]] * 3)
 
 
 def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) -> None:
