@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra oracle")
 
 from tactile_sim.learned import DepthEstimator, generators as files  # noqa: E402
-from tactile_sim.learned.generators import (  # noqa: E402  # noqa: E402
+from tactile_sim.learned.generators import (  # noqa: E402
     CycleganOptics,
     GeneratorNetwork,
     generator_of,

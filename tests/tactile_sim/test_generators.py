@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.torch]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned import DepthEstimator  # noqa: E402
-from tactile_sim.learned.generators import (  # noqa: E402  # noqa: E402
+from tactile_sim.learned.generators import (  # noqa: E402
     GeneratorNetwork,
     initialise,
     make_generator,
