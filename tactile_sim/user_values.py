@@ -1,6 +1,6 @@
-"""Values of users: arrays and numbers, checked before compiled loops, which check nothing, and files of them.
+"""Values that users give: arrays and numbers, checked before compiled loops, and files of such values.
 
-Files are arrays (.npz), and JSON files with the values of a dataclass.
+Compiled loops check nothing. Files are arrays (.npz), or JSON files with the values of a dataclass.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from tactile_toolkit.touch import (
     decode_image,
     intact_size,
     is_jpeg,
-    storable_images,
+    storable_image,
     with_features,
 )
 from tactile_toolkit.value_types import AnyArray, Float64, Int64
@@ -53,6 +53,26 @@ def _add_contents(digest: Any, contents: Iterable[bytes | errors.ItemError]) -> 
         else:
             digest.update(b"%d\n" % len(content))
             digest.update(content)
+
+
+def _storable_images(
+    contents: Iterable[bytes | errors.ItemError], conversions: Counter[str]
+) -> list[bytes | errors.ItemError]:
+    """Return images in a format of data sets, or their problems; count conversions by their words."""
+    images: list[bytes | errors.ItemError] = []
+    for content in contents:
+        if isinstance(content, errors.ItemError):
+            images.append(content)
+            continue
+        try:
+            image, format_name = storable_image(content)
+        except ValueError as error:
+            images.append(errors.ItemError("image", str(error)))
+            continue
+        if format_name:
+            conversions[f"{format_name} stored as PNG, without loss"] += 1
+        images.append(image)
+    return images
 
 
 class _TouchFields(NamedTuple):
@@ -146,7 +166,7 @@ class ImportTouches:
         frames = touches.listing["frames"].to_pylist()
         contents = self._contents(touches)
         for index in np.flatnonzero(touches.is_usable).tolist():
-            pictures = storable_images(islice(contents, max(1, frames[index])), Counter())
+            pictures = _storable_images(islice(contents, max(1, frames[index])), Counter())
             try:
                 self._size(pictures, is_clip=frames[index] > 0)
             except errors.ItemError as error:
@@ -219,7 +239,7 @@ class ImportTouches:
             pictures = list(islice(contents, max(1, frames[index])))
             _add_contents(digest, pictures)
             try:
-                pictures = storable_images(pictures, converted)
+                pictures = _storable_images(pictures, converted)
                 size = self._size(pictures, is_clip=frames[index] > 0)
                 if numbers[index] in values.problems:
                     raise values.problems[numbers[index]]

@@ -26,6 +26,5 @@ from .images import (
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,
     storable_image as storable_image,
-    storable_images as storable_images,
     with_features as with_features,
 )

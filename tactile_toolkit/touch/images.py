@@ -11,8 +11,7 @@ import io
 import re
 import struct
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Literal
 
@@ -22,7 +21,7 @@ import simplejpeg
 from PIL import Image, UnidentifiedImageError, features
 
 from tactile_toolkit import read
-from tactile_toolkit.errors import ItemError, install_line
+from tactile_toolkit.errors import install_line
 from tactile_toolkit.read import schemas
 from tactile_toolkit.value_types import AnyArray, JsonObject, UInt8
 
@@ -195,26 +194,6 @@ def storable_image(data: bytes) -> tuple[bytes, str]:
     except Exception as error:
         raise _undecodable(data) from error
     raise ValueError(problem)
-
-
-def storable_images(
-    contents: Iterable[bytes | ItemError], conversions: Counter[str]
-) -> list[bytes | ItemError]:
-    """Return images in a format of data sets, or their problems; count conversions by their words."""
-    images: list[bytes | ItemError] = []
-    for content in contents:
-        if isinstance(content, ItemError):
-            images.append(content)
-            continue
-        try:
-            image, format_name = storable_image(content)
-        except ValueError as error:
-            images.append(ItemError("image", str(error)))
-            continue
-        if format_name:
-            conversions[f"{format_name} stored as PNG, without loss"] += 1
-        images.append(image)
-    return images
 
 
 def _problem_of_conversion(image: Image.Image, data: bytes) -> str:
