@@ -129,9 +129,10 @@ class BagFile:
                 if isinstance(record, Message):
                     yield record._replace(location=(chunk, *record.location[1:]))
                 elif chunk < 0:
-                    left = self._size - record.start
-                    if record.method in _PLAIN and left < record.packed_bytes:  # the recorder was stopped
-                        record = record._replace(packed_bytes=left, size=left, crc=0)
+                    available = self._size - record.start
+                    if record.method in _PLAIN and available < record.packed_bytes:
+                        # The recorder was stopped within the chunk.
+                        record = record._replace(packed_bytes=available, size=available, crc=0)
                     self._chunks.append(record)
                     yield from self._walk_chunk(len(self._chunks) - 1)
         except _DAMAGE:
@@ -283,6 +284,8 @@ class _Database(BagFile):
             raise errors.InputError(
                 f"{address!r} is a bag in SQLite; expected it on a disk", next="copy it to this machine"
             )
+        if (folder.info(f"{path}-wal") or {}).get("size"):
+            self.problems[f"what {path}-wal holds, until a program that writes to the bag has merged it"] += 1
         uri = Path(folder.address(path)).absolute().as_uri()
         self._database = sqlite3.connect(f"{uri}?mode=ro&immutable=1", uri=True, check_same_thread=False)
         self._database.text_factory = partial(str, encoding="utf-8", errors="replace")

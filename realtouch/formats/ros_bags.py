@@ -118,7 +118,7 @@ def _recordings(
 ) -> Iterator[source_touches.Recording]:
     """Yield the recordings of a bag with the pictures of a topic."""
     bag = wording.printable(path)
-    notes = [f"{bag}: pictures of {camera.facts}", camera.clock_note()]
+    notes = [f"{bag}: pictures of {camera.facts}"]
     if camera.detail == "8UC3":
         notes.append(f"{camera.title}: 8UC3 is taken as blue, green and red, as OpenCV has it")
     left_out = []
@@ -130,16 +130,16 @@ def _recordings(
         if reason:
             left_out.append(f"{topic.facts}: {reason}")
             continue
-        kept, constants, others = topic.stream()
-        notes += [topic.clock_note(), *constants]
-        left_out += others
-        if kept:
-            samples.append((topic, kept, topic.parts()))
+        columns, topic_notes, columns_left_out = topic.stream()
+        notes += topic_notes
+        left_out += columns_left_out
+        if columns:
+            samples.append((topic, columns, topic.parts()))
     parts = camera.parts()
     stem = str(PurePosixPath(path).with_suffix(""))
     if len(parts) > 1:
         notes.append(f"{bag}: {wording.with_count(len(parts), 'parts')}, as the clock was set back")
-    ledger.notes.update(dict.fromkeys(filter(None, notes)))
+    ledger.notes.update(dict.fromkeys(notes))
     first = 0
     for number, rows in enumerate(parts, 1):
         time_s = camera.times_ns[rows] / ros_topics.NS
@@ -168,10 +168,10 @@ def _camera(
         if topic.is_camera:
             name = topic.channel.topic
             cameras[topic.title if name in cameras else name] = topic
-    if image_name and image_name not in cameras:
+    if f"/{image_name}" in cameras:
         image_name = f"/{image_name}"
-    others = [*(topic.facts for topic in topics), *damage]
-    return cameras[source_files.chosen_pictures(cameras, image_name, path, "topics of pictures", others)]
+    contents = [*(topic.facts for topic in topics), *damage]
+    return cameras[source_files.chosen_pictures(cameras, image_name, path, "topics of pictures", contents)]
 
 
 def _stream(
@@ -230,9 +230,8 @@ read_contents = partial(source_files.pictures_by_file, _read_pictures)
 
 def describe_conversion(touches: source_touches.SourceTouches) -> str:
     """Return how the pictures of some touches are converted; empty if they are stored as they are."""
-    usable = touches.take(np.flatnonzero(touches.is_usable)[:1])
-    if not len(usable) or not usable[0].part.startswith(ros_topics.IMAGE):
+    parts = touches.listing["part"].unique().to_pylist()
+    if not any(part.startswith(ros_topics.IMAGE) for part in parts):
         return ""
-    return (
-        "pixels encoded as JPEG of quality 95" if usable.has_clips else "pixels encoded as PNG, without loss"
-    )
+    encoding = "JPEG of quality 95" if touches.has_clips else "PNG, without loss"
+    return f"pixels encoded as {encoding}"

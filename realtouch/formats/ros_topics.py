@@ -153,7 +153,8 @@ class Topic:
     @property
     def title(self) -> str:
         """Topic and type, for messages."""
-        return wording.printable(f"{self.channel.topic} ({self.channel.kind.replace('/msg/', '/')})")
+        kind = self.channel.kind.replace("/msg/", "/") or "no type"
+        return wording.printable(f"{self.channel.topic} ({kind})")
 
     @property
     def is_of_pictures(self) -> bool:
@@ -264,17 +265,16 @@ class Topic:
         except (ValueError, OSError) as error:
             raise errors.ItemError("image", "its pixels cannot be encoded") from error
 
-    def clock_note(self) -> str:
-        """Return the text that states times of receipt; empty if stamps are used."""
-        unstamped = self.stamps_ns.count(0)
-        of_all = f"{unstamped:,} of {len(self.stamps_ns):,} messages"
-        return f"{self.title}: times of receipt, as {of_all} have no stamp" if unstamped else ""
-
     def stream(self) -> tuple[dict[str, pa.Array], list[str], list[str]]:
-        """Return the columns of a stream, texts that do not change, and the columns that are left out."""
+        """Return the columns of a stream, notes on times and unchanging texts, and columns left out."""
         self.flush()
         columns = {}
-        constants, left_out = [], []
+        notes = []
+        left_out = []
+        unstamped = self.stamps_ns.count(0)
+        if unstamped:
+            count = f"{unstamped:,} of {len(self.stamps_ns):,} messages"
+            notes.append(f"{self.title}: times of receipt, as {count} have no stamp")
         for name, parts in self.columns.items():
             values = column_types.joined(parts)
             lengths = column_types.lengths_of(values)
@@ -283,10 +283,10 @@ class Topic:
             if len(lengths) > 1:
                 left_out.append(f"{name} (lists of {wording.alternatives([*map(str, lengths)])} numbers)")
             elif pa.types.is_string(values.type) and len(values.unique()) == 1:
-                constants.append(wording.printable(f"{name} is {values[0].as_py()!r}"))
+                notes.append(wording.printable(f"{name} is {values[0].as_py()!r}"))
             else:
                 columns[name] = values
-        return columns, constants, left_out
+        return columns, notes, left_out
 
 
 def _stamp_ns(head: bytes, encoding: str) -> int:

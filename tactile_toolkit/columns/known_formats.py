@@ -146,7 +146,14 @@ KNOWN_FORMATS = (
         "archive",
         "an archive or a compressed file",
         _UNPACK,
-        _bytes(b"BZh", b"7z\xbc\xaf", b"Rar!", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd"),
+        _bytes(b"BZh", b"7z\xbc\xaf", b"Rar!", b"\xfd7zXZ\0"),
+    ),
+    KnownFormat(
+        "zstd",
+        "a file compressed by Zstandard",
+        "unpack it by `zstd -d FILE`, and give the file in it",
+        _bytes(b"\x28\xb5\x2f\xfd"),
+        (".zst", ".zstd"),
     ),
     KnownFormat(
         "svg", "an SVG file, a vector drawing", _DRAWING, _text(rb"(?:(?:<[?!][^>]*|\])>\s*)*<svg\b")

@@ -113,6 +113,7 @@ def test_a_set_needs_no_import(single_folder: Path, tmp_path: Path) -> None:
 
 
 FOREIGN = {
+    "run_0.db3.zstd": (b"\x28\xb5\x2f\xfd", "is a file compressed by Zstandard; next: unpack it by `zstd -d"),
     "trial.mat": (b"MATLAB 5.0 MAT-file", "is a file of MATLAB; next: read it by scipy.io"),
     "poses.npy": (b"\x93NUMPY\x01\x00", "is a file of NumPy; next: write its arrays to an HDF5 file"),
     "sheet.xlsx": (b"PK\x03\x04", "is a workbook of Excel; next: save each sheet as CSV"),

@@ -334,6 +334,14 @@ def test_views_of_a_database_are_not_run(tmp_path: Path) -> None:
         images(file)
 
 
+def test_a_journal_that_a_stopped_recorder_left_is_named(tmp_path: Path) -> None:
+    bag = next(written(tmp_path, "sqlite").glob("*.db3"))
+    bag.with_name(f"{bag.name}-wal").write_bytes(b"x")
+    recordings, contents = images(bag)
+    assert contents == bags.pictures(5)
+    assert "sqlite.db3: what sqlite.db3-wal holds" in recordings.left_out[0]
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["run.bag", "bz2.bag", "mcap", "sqlite", "plain.mcap"])
 def test_any_damage_is_named(name: str, tmp_path: Path) -> None:

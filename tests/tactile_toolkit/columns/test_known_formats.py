@@ -47,6 +47,7 @@ FILES = {
     "a.tar": ("a tar archive", b"name".ljust(257, b"\0") + b"ustar\x0000"),
     "a.zip": ("a ZIP archive", archive("pictures/1.png")),
     "usps.bz2": ("an archive or a compressed file", b"BZh91AY&SY"),
+    "run_0.db3.zstd": ("a file compressed by Zstandard", b"\x28\xb5\x2f\xfd\x04"),
     "logo.svg": (
         "an SVG file",
         b'<?xml version="1.0"?>\n<!-- x -->\n<svg xmlns="http://www.w3.org/2000/svg">',
