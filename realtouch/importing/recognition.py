@@ -32,16 +32,9 @@ _DAMAGE = (
     *(zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError),
     *(LookupError, TypeError, SyntaxError, MemoryError, OverflowError),
 )
-_TAR_OFFSET = 257
 _ZIP = b"PK\x03\x04"
-# First bytes of files that are not videos: offset, bytes.
-_FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
-    "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
-    "flat": ((0, b"PAR1"),),
-    "webdataset": ((_TAR_OFFSET, b"ustar"),),
-    "replay": ((0, _ZIP),),
-    "rosbag": ((0, b"\x89MCAP0\r\n"), (0, b"#ROSBAG V2.0\n"), (0, b"SQLite format 3\0")),
-}
+# Formats of files that are not videos, by their keys among the known formats.
+_LAYOUTS = {"hdf5": "hdf5", "parquet": "flat", "tar": "webdataset", "zip": "replay", "bag": "rosbag"}
 _OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
 _ZARR_MARKS = (".zgroup", "zarr.json")
 # Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
@@ -135,7 +128,7 @@ _STEPS = {
     "h5py.File('arrays.hdf5', 'w').update({array})\", and import that with --map image=NAME",
 }
 # Keys of formats that are read, in some or all cases.
-_READ = ("bag", "hdf5", "parquet", "archive", "gzip", "video", "json", "pixels")
+_READ = (*_LAYOUTS, "archive", "gzip", "video", "json", "pixels")
 
 
 def reason_unread(path: str, layout: str) -> str:
@@ -195,9 +188,9 @@ def _of_file(path: str) -> Recognised:
     if video_files.demuxer_of(head):
         return Recognised("video", name)
     _refuse_foreign(folder, [name], head)
-    for layout, marks in _FIRST_BYTES.items():
-        if any(head[at : at + len(mark)] == mark for at, mark in marks):
-            return Recognised(layout, name)
+    known = known_formats.KnownFormat.of(head)
+    if known is not None and known.key in _LAYOUTS:
+        return Recognised(_LAYOUTS[known.key], name)
     start = head[:8].hex(" ")
     raise errors.InputError(
         f"{path!r} begins with {start}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",

@@ -139,8 +139,8 @@ KNOWN_FORMATS = (
     KnownFormat("excel", "an old workbook of Excel", _SHEET, _bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")),
     KnownFormat("parquet", "a Parquet file", f"read it by pandas, and {_PICTURES}", _bytes(b"PAR1")),
     KnownFormat("arrow", "an Arrow file", "write it as Parquet, by pyarrow", _bytes(b"ARROW1")),
-    KnownFormat("archive", "a tar archive", _UNPACK, _pattern(rb".{257}ustar")),
-    KnownFormat("archive", "a ZIP archive", _UNPACK, _bytes(b"PK\3\4")),
+    KnownFormat("tar", "a tar archive", _UNPACK, _pattern(rb".{257}ustar")),
+    KnownFormat("zip", "a ZIP archive", _UNPACK, _bytes(b"PK\3\4")),
     KnownFormat("gzip", "a file compressed by gzip", _UNPACK, _bytes(b"\x1f\x8b")),
     KnownFormat(
         "archive",
