@@ -170,12 +170,11 @@ def solidify(
             workers=process_count(job.workers),
             on_progress=update,
         )
-    files = [file.to_dict() for file in made.files]
     failed = [
         {"picture": picture.name, "problem": picture.problem, "detail": picture.detail}
         for picture in made.failed
     ]
-    sink.document({"out": out, "files": files, "failed": failed})
+    sink.document({"out": out, "files": [file.to_dict() for file in made.files], "failed": failed})
     _print_files(sink, made.files, spec)
     if made.files:
         size_text = bytes_text(sum(file.bytes for file in made.files))
@@ -205,7 +204,7 @@ def _print_files(sink: Sink, files: Iterable[PrintedPicture], spec: mnist3d.Prin
     for file in files:
         for note in file.notes:
             sink.line(f"{file.file}: note: {note}")
-        for line in file.report.explained(spec.profile):
+        for line in file.report.explained(spec.profile, spec.advice_options()):
             sink.line(f"{file.file}: {line}")
 
 

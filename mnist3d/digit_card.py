@@ -120,7 +120,8 @@ def facts(folder: store.DataFolder, manifest: store.Manifest) -> Facts:
     """Return the figures of a finished data set and advice on printing it; raises as :func:`summarise`."""
     summaries = summarise(folder, manifest)
     header, rows = facts_table(summaries, SUMMED_UP)
-    advice = mesh.PrintReport.advice(word for summary in summaries for word in summary.facets["warnings"])
+    words = (word for summary in summaries for word in summary.facets["warnings"])
+    advice = mesh.PrintReport.advice(words, mesh.PrintReport.DATASET_OPTIONS)
     document: JsonDict = {"splits": [summary.to_dict() for summary in summaries]}
     return Facts(header, tuple(rows), tuple(advice), document)
 

@@ -62,10 +62,12 @@ class CheckedMesh:
 
 @dataclass(frozen=True)
 class CheckedMeshes:
-    """Everything found in one data set or file."""
+    """Everything found in one data set or file, for a printer."""
 
     path: str
     items: tuple[CheckedMesh, ...]
+    profile: mesh.PrintProfile
+    is_file: bool = False
 
     @property
     def checked(self) -> int:
@@ -88,8 +90,10 @@ class CheckedMeshes:
         return dict(sorted(Counter(word for item in self.items for word in item.report.warnings).items()))
 
     def advice(self) -> Sequence[str]:
-        """Return a line for each print warning: what to do about it."""
-        return mesh.PrintReport.advice(self.warnings())
+        """Return a line for each print warning: what to do about it, and of a file, what was measured."""
+        if self.is_file:
+            return self.items[0].report.explained(self.profile)
+        return mesh.PrintReport.advice(self.warnings(), mesh.PrintReport.DATASET_OPTIONS)
 
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
@@ -163,7 +167,7 @@ def check_content(
             report = mesh.inspect(mesh.read_mesh(source, unit=unit), profile)
         except InputError as error:
             report = _unreadable(str(error))
-        return CheckedMeshes(source, (CheckedMesh(Path(source).name, report),))
+        return CheckedMeshes(source, (CheckedMesh(Path(source).name, report),), profile, is_file=True)
     opened = places.open_place(source)
     mesh.refuse_unit(unit, opened.name)
     return check_meshes(opened, KIND, split, limit, workers, profile, on_progress)
@@ -189,7 +193,7 @@ def check_meshes(
             report = _unreadable(f"{row_name}: field {row.null_field!r} is null; expected a value")
         number = f"row {row.row}" if row.id is None else row.id
         items.append(CheckedMesh(f"{row.split} {number}", report))
-    return CheckedMeshes(opened.name, tuple(items))
+    return CheckedMeshes(opened.name, tuple(items), profile)
 
 
 def is_mesh_file(path: str) -> bool:

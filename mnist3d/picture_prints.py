@@ -54,6 +54,15 @@ class PrintSpec:
     ending: str = ".stl"
     preview: bool = False
 
+    def advice_options(self) -> dict[str, str]:
+        """Return the options of ``mnist3d solidify`` that advice names (``PrintReport.advice``)."""
+        joining = " by a base plate (--base-mm 2) or by bridges (--bridge-mm 3)"
+        return {
+            "larger": " (--height-mm, --width-mm or --pixel-mm)",
+            "join": joining if self.base_mm is None else "",
+            "plate": " (--base-mm 2)" if self.base_mm is None else "",
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class PrintedPicture:
@@ -200,9 +209,13 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
     )
     part = algorithm.solid_of_ink(sized, spec.base_mm).on_plate()
     report = mesh.inspect(part, spec.profile)
+    notes = sized.notes
+    if spec.base_mm is not None:
+        width, depth = (side - 2 * mesh.BASE_MARGIN_MM for side in report.size_mm[:2])
+        notes = (*notes, f"the drawing is {width:.1f} x {depth:.1f} mm, and its base plate is larger")
 
     def record(_verdict: object, size: int, state: str) -> PrintedPicture:
-        return PrintedPicture(str(path), f"{stem}{ending}", report, sized.notes, size, state)
+        return PrintedPicture(str(path), f"{stem}{ending}", report, notes, size, state)
 
     made = printing.Made.of_solid(stem, ending, part, record)
     if spec.preview:

@@ -29,7 +29,7 @@ from mnist3d.ink import binarisation, grey_levels
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MM_PER_M, Mesh, connected, on_base_plate
+from tactile_toolkit.mesh import MM_PER_M, Mesh, connected, with_flat_underside
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 
 CHORD_LOSS = 0.11
@@ -52,8 +52,8 @@ MAX_FOR_ONE_PASS = 2.0
 E_FOLD_MM = 0.1
 """Tolerance at which one pass leaves about 1/e of the vertices."""
 
-FLAT_MM = 0.005
-"""Largest distance of a vertex from the surface without it, in even parts of drawings."""
+FLAT_MM = (0.01, 0.002)
+"""Largest distances of a vertex from the surface without it, in even parts of drawings, tried in order."""
 
 BUDGET_SLACK = 1.5
 """Largest number of vertices, as a multiple of the budget."""
@@ -79,7 +79,8 @@ def solidify(
         drawing: a digit, a word, a logo.
     spec : SolidSpec, optional
         Parameters of the algorithm; the published ones by default. Without it, pictures other than grey
-        levels keep specks down to 0.64 mm^2 and get as many vertices as their strokes need.
+        levels are drawings to print: they keep specks down to 0.64 mm^2, get as many vertices as their
+        strokes need, and stand on a flat underside, exactly as thick as ``half_thickness_mm`` says.
     base_mm : float, optional
         Put the upper half of the solid on a plate of this thickness, which joins separate parts.
     method : {"fast", "literal"}
@@ -123,10 +124,15 @@ def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, meth
         made = literal_solid(sized.mask, sized.spec)
     else:
         made = solid_steps(sized.mask, sized.spec).mesh
-    if sized.is_fine:
+    if sized.is_drawing and sized.spec.lattice_pitch_mm is not None:
         made = without_flat_vertices(made)
     made = fit_to_size(made, sized.size)
-    return made if base_mm is None else on_base_plate(made, base_mm)
+    if base_mm is None and not sized.is_drawing:
+        return made
+    thickness_mm = None
+    if sized.is_drawing:
+        thickness_mm = sized.spec.half_thickness_mm * (2 if base_mm is None else 1)
+    return with_flat_underside(made, base_mm, thickness_mm)
 
 
 def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> Mesh:
@@ -454,15 +460,17 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
 
 
 def without_flat_vertices(mesh: Mesh) -> Mesh:
-    """Remove vertices that change the surface by 0.005 mm at most, unless bodies or holes would be lost.
+    """Remove vertices that hardly change the surface, unless bodies or holes would be lost.
 
     Fine lattices have many of them in even parts: a drawing keeps a fifth of its triangles.
     """
     counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
-    solid = mesh.to_manifold().simplify(FLAT_MM)
-    simpler = _mesh_of(solid)
-    if _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
-        return simpler
+    fine = mesh.to_manifold()
+    for tolerance_mm in FLAT_MM:
+        solid = fine.simplify(tolerance_mm)
+        simpler = _mesh_of(solid)
+        if _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
+            return simpler
     return mesh
 
 

@@ -181,7 +181,7 @@ class Lattice:
 
         Each height is an array: numpy squares scalars by another function, whose last bit may differ.
         """
-        top_px = spec.half_thickness_px + 2 * self.pitch_px
+        top_px = float(half_height_px(self.s_px.max(), spec)) + 2 * self.pitch_px
         return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None, None]
 
     def finer(self, inside: Bool) -> Lattice | None:
@@ -257,26 +257,27 @@ def lattice_of(ink: Bool, spec: digit_options.SolidSpec) -> Lattice:
     )
     distance = on_grid(distance, FACTOR_GRAIN_PX)
     narrow = compiled_loops.narrow_pixels(distance, NARROW_PX, NARROW_REACH_PX)
-    pitch_px = _first_pitch_px(distance, spec)
+    if spec.lattice_pitch_mm is None:
+        pitch_px = pitch_of_budget_px(distance, spec, spec.target_vertices)
+    else:
+        pitch_px = min(max(spec.lattice_pitch_mm / spec.pixel_pitch_mm, 1.0), LARGEST_PITCH_PX)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
     corner_px = top - margin_px, left - margin_px
     s_px = sampled(distance, rows, columns, pitch_px)
     return Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, s_px).fitted()
 
 
-def _first_pitch_px(distance: Float32, spec: digit_options.SolidSpec) -> float:
-    """Return the given pitch, or the one at which marching cubes meet the vertex budget.
+def pitch_of_budget_px(distance: Float32, spec: digit_options.SolidSpec, vertices: int) -> float:
+    """Return the pitch, 1 to 8 px, at which marching cubes make about this number of vertices.
 
     A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
     surface is made. It falls with the square of the pitch.
     """
-    if spec.lattice_pitch_mm is not None:
-        return min(max(spec.lattice_pitch_mm / spec.pixel_pitch_mm, 1.0), LARGEST_PITCH_PX)
     pitch = FIRST_PITCH_PX
     for _ in range(2):  # the second round corrects the count, as the first lattice may be too coarse
         rows, columns = (np.arange(0, side - 1, pitch).round().astype(np.intp) for side in distance.shape)
         crossed = _crossed_edges(distance[np.ix_(rows, columns)], pitch, spec)
-        pitch = float(np.clip(pitch * math.sqrt(crossed / spec.target_vertices), 1.0, LARGEST_PITCH_PX))
+        pitch = float(np.clip(pitch * math.sqrt(crossed / vertices), 1.0, LARGEST_PITCH_PX))
     return pitch
 
 

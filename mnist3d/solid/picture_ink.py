@@ -13,9 +13,11 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from mnist3d import compiled_loops
 from mnist3d.digit_options import LARGEST_HALF_THICKNESS_PX, SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels, photographs
 from mnist3d.ink.grey_levels import MAX_DRAWN
+from mnist3d.solid import lattice
 from mnist3d.sources import picture_files
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
@@ -42,8 +44,8 @@ _MIN_SPECK_MM2, _SPECK_PER_STROKE = 0.64, 0.5
 _AROUND = 0.05
 # Nodes of the lattice across a stroke, so that it is smooth.
 _NODES_PER_STROKE = 4.0
-# Most nodes of the lattice of a drawing; each takes some 20 bytes.
-_MAX_NODES = 3e7
+# Vertices of the surface of a drawing before those in even parts are removed, which are most of them.
+_MAX_VERTICES = 80_000
 
 NO_CHANGES: JsonObject = MappingProxyType({})
 """The parameters of a specification as they are."""
@@ -55,8 +57,8 @@ class SizedInk(NamedTuple):
     mask: Bool
     spec: SolidSpec
     notes: tuple[str, ...]
-    is_fine: bool = False
-    """Whether the lattice is as fine as the strokes need, so that even parts have too many vertices."""
+    is_drawing: bool = False
+    """Whether the solid is made to be printed, on a flat underside, rather than as a digit of a data set."""
     size: SolidSize = SolidSize()
     """The size that the solid is to have; its pixels have it within some tenths of a millimetre."""
 
@@ -95,14 +97,13 @@ def sized_ink(
     before = binarisation.ink_of_levels(sheet, fitted.threshold, MAX_DRAWN)
     fitted = for_strokes(before, fitted)
     mask = binarisation.cleaned_ink(sheet, fitted, most_ink=MAX_DRAWN)
-    is_fine = "target_vertices" not in changes
-    if is_fine:
+    if "target_vertices" not in changes:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
     drawn = binarisation.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
     count = int(_labels(drawn).max()) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
-    return SizedInk(mask, fitted, tuple(notes), is_fine, size)
+    return SizedInk(mask, fitted, tuple(notes), True, size)
 
 
 def _levels(
@@ -217,10 +218,10 @@ def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
 
 def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
     """Return the distance of the nodes of a lattice that fits into memory and on which strokes are smooth."""
-    rows, columns = (np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (1, 0))
-    least_px = math.cbrt(rows * columns * spec.half_thickness_px / _MAX_NODES)
-    wanted_px = max(binarisation.thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
-    return float(min(LARGEST_LATTICE_MM, spec.pixel_pitch_mm * wanted_px))
+    distance = compiled_loops.signed_distance_px(mask, math.ceil(spec.half_thickness_px), 1.0)
+    least_px = lattice.pitch_of_budget_px(distance, spec, _MAX_VERTICES)
+    pitch_px = max(binarisation.thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
+    return float(min(LARGEST_LATTICE_MM, spec.pixel_pitch_mm * pitch_px))
 
 
 def _labels(mask: Bool) -> Int32:

@@ -1,8 +1,9 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .solid_check import (
+    BASE_MARGIN_MM as BASE_MARGIN_MM,
     check_manifold as check_manifold,
-    on_base_plate as on_base_plate,
+    with_flat_underside as with_flat_underside,
 )
 from .files import (
     MeshFile as MeshFile,

@@ -132,3 +132,8 @@ class PrintProfile:
         min_wall_mm: float | None = self.min_wall_mm
         if min_wall_mm is None:
             object.__setattr__(self, "min_wall_mm", _LINES_OF_WALL * self.nozzle_mm)
+
+    @property
+    def floating_mm(self) -> float:
+        """Height above which a part floats: slicers cut the first layer at its middle."""
+        return self.layer_height_mm / 2

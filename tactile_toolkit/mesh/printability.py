@@ -10,7 +10,7 @@ a wall.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -23,7 +23,10 @@ from tactile_toolkit.rows import TypedRow, column
 from tactile_toolkit.value_types import Float32, Float64, JsonDict
 from tactile_toolkit.wording import with_count
 
-WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
+WARNINGS = (
+    *("thin-wall", "separate-bodies", "floating-part", "overhang"),
+    *("small-contact", "larger-than-plate", "too-tall"),
+)
 """Print warnings; the limits behind them are those of :class:`~mnist3d.PrintProfile`."""
 
 NO_WARNING = "none"
@@ -37,15 +40,17 @@ _WORDS = pa.list_(pa.string())
 WARNINGS_PAGE = "docs/warnings.md"
 """Page with a section on each warning."""
 
-_PLATE = "--half-on-base-mm 2 of `tactile export`, --base-mm 2 of `mnist3d solidify`"
 _ADVICE = {
-    "thin-wall": "make it larger, draw with a thicker pen, or print it with a finer nozzle",
-    "separate-bodies": f"join the parts by a plate ({_PLATE}) or by bridges, or print them one by one",
-    "overhang": f"print with support, or put it on a plate ({_PLATE})",
-    "small-contact": f"put it on a plate ({_PLATE}), or print it with a brim of 5 mm",
-    "larger-than-plate": "make it smaller, or cut it in the slicer",
-    "too-tall": "make it smaller, or lay it down in the slicer",
+    "thin-wall": "make it larger{larger}, draw with a thicker pen, or print it with a finer nozzle",
+    "separate-bodies": "join the parts{join}, or print them one by one",
+    "floating-part": "print with support, lay the parts down in the slicer, or add a base plate{plate}",
+    "overhang": "print with support, or put it on a base plate{plate}",
+    "small-contact": "put it on a base plate{plate}, or print it with a brim of 5 mm",
+    "larger-than-plate": "make it smaller{larger}, or cut it in the slicer",
+    "too-tall": "make it smaller{larger}, or lay it down in the slicer",
 }
+
+_NO_OPTIONS = {"larger": "", "join": "", "plate": ""}
 
 SPACING_MM = 0.4
 """Distance of outline points; outlines of digits have corners every 0.4 to 0.8 mm."""
@@ -103,10 +108,18 @@ class PrintReport(TypedRow):
         Words of :data:`WARNINGS`.
     notes : tuple of str
         What reading the file changed or left out (``Mesh.notes``).
+    lows_mm : tuple of float
+        Height of the lowest point of each body above the plate, in increasing order; not stored.
     """
 
     UNREADABLE: ClassVar = "unreadable"
     """Problem of a file without a readable mesh."""
+    DATASET_OPTIONS: ClassVar = {
+        "larger": " (`tactile export --scale`)",
+        "join": " (`tactile export --half-on-base-mm 2`)",
+        "plate": " (`tactile export --half-on-base-mm 2`)",
+    }
+    """How the meshes of a data set are made larger, joined, and put on a base plate, for advice."""
 
     is_solid: bool = column(pa.bool_())
     status: str = column(_WORD)
@@ -130,6 +143,7 @@ class PrintReport(TypedRow):
         _WORDS, default=(), role="facet", title="Print warnings", values=(NO_WARNING, *WARNINGS)
     )
     notes: tuple[str, ...] = column(_WORDS, default=(), role="hidden")
+    lows_mm: tuple[float, ...] = ()
 
     @property
     def size_mm(self) -> tuple[float, float, float]:
@@ -146,14 +160,20 @@ class PrintReport(TypedRow):
         values = {name: getattr(self, name) for name in self.columns()}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
-    def explained(self, profile: PrintProfile) -> tuple[str, ...]:
-        """Return a line for each warning: what was found, what was expected, and what to do."""
+    def explained(self, profile: PrintProfile, options: Mapping[str, str] = _NO_OPTIONS) -> tuple[str, ...]:
+        """Return a line for each warning: what was found, what was expected, and what to do.
+
+        ``options`` is as for :meth:`advice`.
+        """
+        floating = [low_mm for low_mm in self.lows_mm if low_mm > profile.floating_mm]
+        heights = ", ".join(f"{low_mm:.2f}" for low_mm in floating)
         width, depth, height = self.size_mm
         plate = " x ".join(f"{side:g}" for side in profile.plate_mm)
         measures = {
             "thin-wall": f"the thinnest wall is {self.thinnest_wall_mm:.2f} mm, expected "
             f"{profile.min_wall_mm:g} mm or more",
             "separate-bodies": f"there are {with_count(self.bodies, 'parts')} that print apart",
+            "floating-part": f"{len(floating)} of {self.bodies} parts begin above the plate, at {heights} mm",
             "overhang": f"{self.overhang_mm2:,.0f} mm² lean out by more than "
             f"{profile.overhang_deg:g} degrees",
             "small-contact": f"{self.contact_mm2:.1f} mm² lie on the plate of the printer, expected "
@@ -163,15 +183,20 @@ class PrintReport(TypedRow):
         }
         return tuple(
             f"{word}: {measures[word]}; next: {advice.removeprefix(f'{word}: ')}"
-            for word, advice in zip(self.warnings, self.advice(self.warnings), strict=True)
+            for word, advice in zip(self.warnings, self.advice(self.warnings, options), strict=True)
         )
 
     @staticmethod
-    def advice(words: Iterable[str]) -> tuple[str, ...]:
-        """Return a line for each warning: what to do, and the section that explains it."""
+    def advice(words: Iterable[str], options: Mapping[str, str] = _NO_OPTIONS) -> tuple[str, ...]:
+        """Return a line for each warning: what to do, and the section that explains it.
+
+        ``options`` names the options of a command, as :attr:`DATASET_OPTIONS` does.
+        """
         warned = set(words)
         return tuple(
-            f"{word}: {_ADVICE[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in warned
+            f"{word}: {_ADVICE[word].format(**options)} (see {WARNINGS_PAGE}#{word})"
+            for word in WARNINGS
+            if word in warned
         )
 
 
@@ -226,6 +251,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     is_raised = {
         "thin-wall": wall_mm < profile.min_wall_mm,
         "separate-bodies": check.bodies > 1,
+        "floating-part": check.lows_mm[-1] > profile.floating_mm,
         "overhang": overhang_share > profile.max_overhang_share,
         "small-contact": contact_mm2 < profile.min_contact_mm2,
         "larger-than-plate": any(side > plate for side, plate in sides_mm),
@@ -233,7 +259,9 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     }
     warnings = tuple(word for word in WARNINGS if is_raised[word])
     measured = (mass_g, *size_mm, wall_mm, overhang_mm2, contact_mm2)
-    return PrintReport(True, check.status, None, None, *counts, *measured, warnings, mesh.notes)
+    return PrintReport(
+        True, check.status, None, None, *counts, *measured, warnings, mesh.notes, check.lows_mm
+    )
 
 
 def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.mesh import Mesh, MeshLike
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -37,11 +37,17 @@ OVERLAP_MM3 = 1e-6
 FLAT_MM3 = 1e-6
 """A smaller volume, that of a cube of 10 um, may be rounding of bodies that touch, or of a flat sheet."""
 
-# The plate is wider than the solid on each side, and its corners are round.
-_MARGIN_MM, _CORNER_MM = 3.0, 2.0
+BASE_MARGIN_MM = 3.0
+"""Width of a base plate around the solid on each side."""
+
+_CORNER_MM = 2.0
+"""Radius of the corners of a base plate."""
 
 # The solid reaches so far into the plate that both become one body.
 _SUNK_MM = 0.2
+
+# Vertices up to this height lie in an underside at z = 0; cutting rounds them.
+_LEVEL_MM = 1e-6
 _SEGMENTS = 32
 
 
@@ -60,6 +66,8 @@ class ManifoldCheck:
     """Number of holes through all bodies."""
     volume_mm3: float = math.nan
     """Enclosed volume, negative if inside out; NaN if unknown, as where some space is enclosed twice."""
+    lows_mm: tuple[float, ...] = ()
+    """Height of the lowest point of each body of a solid above that of the lowest body, in order."""
 
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
@@ -86,7 +94,9 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
         if problem[0] in ("overlap", "self-crossing"):
             volume_mm3 = math.nan
         return ManifoldCheck(None, status, *problem, len(outer), genus, volume_mm3)
-    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3)
+    lowest_mm = manifold.bounding_box()[2]
+    lows_mm = tuple(sorted(part.bounding_box()[2] - lowest_mm for part in outer))
+    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3, lows_mm)
 
 
 def require_solid(mesh: Mesh) -> ManifoldCheck:
@@ -155,18 +165,22 @@ def _edge_problem(mesh: Mesh) -> str:
     return "neighbouring triangles are turned against each other"
 
 
-def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
-    """Put the upper half of a solid on a plate with round corners, 3 mm wider than it on each side.
+def with_flat_underside(
+    solid: MeshLike, base_mm: float | None = None, thickness_mm: float | None = None
+) -> Mesh:
+    """Replace the lower half of a solid by a flat underside, on which all its parts stand.
 
-    Digits are symmetric, so their upper half is a relief with a flat underside. All parts of the solid become
-    one body with the plate.
+    The upper half is put on upright walls along the outline of the middle section, on a base plate, or on
+    both. A base plate is 3 mm wider than the solid on each side, has round corners and joins all parts.
 
     Parameters
     ----------
     solid : Mesh, record of a data set, or trimesh.Trimesh
         In metres, z pointing away from the plate. It must bound a solid.
-    base_mm : float
-        Thickness of the plate.
+    base_mm : float, optional
+        Thickness of the base plate; None for no base plate.
+    thickness_mm : float, optional
+        Thickness above the base plate. Walls make up what the upper half lacks; None for no walls.
 
     Returns
     -------
@@ -180,18 +194,45 @@ def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
     ItemError
         The mesh does not bound a solid.
     """
-    import manifold3d  # few meshes get a plate
+    from manifold3d import CrossSection, JoinType, Manifold  # few meshes are printed
 
-    if not base_mm > 0:
+    if base_mm is not None and not base_mm > 0:
         raise InputError(f"is {base_mm!r}; expected a thickness above 0 mm", field="base_mm")
     body = require_solid(Mesh.of(solid)).manifold
     left, front, low, right, back, high = body.bounding_box()
     middle = (low + high) / 2
-    sunk = min(_SUNK_MM, base_mm / 2)
-    upper = body.trim_by_plane((0.0, 0.0, 1.0), middle - sunk).translate((0.0, 0.0, base_mm - middle))
-    inner = _MARGIN_MM - _CORNER_MM
-    sides = (right - left + 2 * inner, back - front + 2 * inner)
-    outline = manifold3d.CrossSection.square(sides).translate((left - inner, front - inner))
-    outline = outline.offset(_CORNER_MM, manifold3d.JoinType.Round, circular_segments=_SEGMENTS)
-    plate = manifold3d.Manifold.extrude(outline, base_mm)
-    return Mesh.from_manifold(upper + plate)
+    upper = body.trim_by_plane((0.0, 0.0, 1.0), middle).translate((0.0, 0.0, -middle))
+    wall_mm = 0.0 if thickness_mm is None else thickness_mm - (high - middle)
+    plate_mm = base_mm or 0.0
+    depth_mm = max(wall_mm + min(_SUNK_MM, plate_mm / 2), 0.0)
+    standing = _on_walls(upper, depth_mm).translate((0.0, 0.0, plate_mm + wall_mm))
+    if base_mm is not None:
+        inner = BASE_MARGIN_MM - _CORNER_MM
+        sides = (right - left + 2 * inner, back - front + 2 * inner)
+        outline = CrossSection.square(sides).translate((left - inner, front - inner))
+        outline = outline.offset(_CORNER_MM, JoinType.Round, circular_segments=_SEGMENTS)
+        standing += Manifold.extrude(outline, base_mm)
+    return Mesh.from_manifold(standing)
+
+
+def _on_walls(upper: Manifold, depth_mm: float) -> Manifold:
+    """Extend a solid with a flat underside at z = 0 down by upright walls.
+
+    The union with an extruded section would leave slivers, since manifold3d rounds sections.
+    """
+    if depth_mm == 0:
+        return upper
+    arrays = upper.to_mesh64()
+    vertices, faces = np.asarray(arrays.vert_properties), np.asarray(arrays.tri_verts).astype(np.int64)
+    count = len(vertices)
+    is_low = vertices[:, 2] < _LEVEL_MM
+    in_underside = is_low[faces].all(axis=1)
+    lowered = np.arange(count)
+    lowered[is_low] = count + np.arange(np.count_nonzero(is_low))
+    ends = faces[in_underside][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    start, end = ends[~np.isin(ends @ (count, 1), ends @ (1, count))].T
+    faces[in_underside] = lowered[faces[in_underside]]
+    walls = [start, end, lowered[end], start, lowered[end], lowered[start]]
+    below = np.column_stack([vertices[is_low, :2], np.full(np.count_nonzero(is_low), -depth_mm)])
+    faces = np.concatenate([faces, np.stack(walls, axis=1).reshape(-1, 3)])
+    return Mesh(np.concatenate([vertices, below]) / MM_PER_M, faces.astype(np.int32)).to_manifold()

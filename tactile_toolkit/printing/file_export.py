@@ -65,7 +65,7 @@ class PrintObject:
 
 
 def _with_base(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> mesh.Mesh:
-    return mesh.on_base_plate(mesh.Mesh.of(load()).on_plate(), base_mm)
+    return mesh.with_flat_underside(mesh.Mesh.of(load()).on_plate(), base_mm)
 
 
 def choose(
@@ -76,7 +76,7 @@ def choose(
     """Choose objects as :func:`tactile_toolkit.catalog.choose_rows` does; no mesh is read.
 
     With ``base_mm``, the upper half of each is put on a plate of this thickness
-    (:func:`tactile_toolkit.mesh.on_base_plate`).
+    (:func:`tactile_toolkit.mesh.with_flat_underside`).
 
     Raises InputError for an id or a class that no row has, and for a duplicate id in a split.
     """

@@ -37,6 +37,19 @@ def child() -> Image.Image:
     return picture
 
 
+def house() -> Image.Image:
+    """Return a house with a thick roof, thin windows and a sun with rays: parts of strokes of 4 to 26 px."""
+    picture = Image.new("RGB", (1200, 900), "white")
+    draw = ImageDraw.Draw(picture)
+    draw.polygon([(300, 450), (550, 220), (800, 450)], outline=PEN, width=16)
+    draw.rectangle([330, 470, 770, 780], outline=PEN, width=9)
+    for x in (400, 640):
+        draw.rectangle([x, 540, x + 70, 610], outline=PEN, width=4)
+    draw.ellipse([950, 80, 1100, 230], outline=SUN, width=26)
+    draw.line([(1025, 270), (1025, 330)], fill=SUN, width=9)
+    return picture
+
+
 def photographed(picture: Image.Image) -> Image.Image:
     """Return a page as photographed by a phone: uneven warm light, noise, blur."""
     page = np.asarray(picture.resize((1200, 900)), float)

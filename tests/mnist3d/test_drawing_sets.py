@@ -41,7 +41,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     printed = capsys.readouterr().out
     assert "10: 4, house: 4, li: 5" in printed
     assert "separate-bodies: 13" in printed
-    assert "(--half-on-base-mm 2 of `tactile export`, --base-mm 2 of `mnist3d solidify`)" in printed
+    assert "separate-bodies: join the parts (`tactile export --half-on-base-mm 2`)" in printed
     assert mnist3d.load(out, "train").label_names == ("10", "house", "li")
     rows = [row for split in ("train", "test") for row in mnist3d.load(out, split)]
     assert [len(mnist3d.load(out, split)) for split in ("train", "test")] == [13, 3]

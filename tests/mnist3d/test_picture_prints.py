@@ -17,10 +17,10 @@ import mnist3d
 from mnist3d.ink.binarisation import join_bodies, stroke_width_px, thinnest_stroke_px
 from mnist3d.sources import SyntheticSource
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import Mesh, check_manifold, inspect, on_base_plate
+from tactile_toolkit.mesh import Mesh, check_manifold, inspect, with_flat_underside
 from tactile_toolkit.mesh.printability import WARNINGS
 from tests.command_line import call
-from tests.mnist3d.drawn_pictures import child, pieces, size_mm, word
+from tests.mnist3d.drawn_pictures import child, house, pieces, size_mm, word
 from tests.pages import ROOT
 
 # --- its size -------------------------------------------------------------------------------------
@@ -129,8 +129,8 @@ def test_bridges_are_as_wide_as_the_strokes(width: int) -> None:
 
 
 def test_a_base_plate_joins_the_parts_and_lies_flat() -> None:
-    plain = mnist3d.solidify(word(), width_mm=90)
-    on_plate = mnist3d.solidify(word(), width_mm=90, base_mm=2)
+    plain = mnist3d.solidify(word(), mnist3d.SolidSpec(), width_mm=90)
+    on_plate = mnist3d.solidify(word(), mnist3d.SolidSpec(), width_mm=90, base_mm=2)
     before, after = inspect(plain), inspect(on_plate)
     assert (before.bodies, after.bodies, after.is_solid) == (5, 1, True)
     assert "separate-bodies" in before.warnings
@@ -144,10 +144,39 @@ def test_a_base_plate_joins_the_parts_and_lies_flat() -> None:
     assert after.volume_mm3 == pytest.approx(2 * after.contact_mm2 + half, rel=2e-3)
 
 
+@pytest.mark.parametrize("further", [(), ("--thickness-mm", 5, "--edge-profile", "linear")])
+def test_all_parts_of_a_drawing_stand_on_the_plate(further: Any, tmp_path: Path, capsys: Any) -> None:
+    house().save(tmp_path / "house.png")
+    out = tmp_path / "house.stl"
+    command = ("mnist3d", "solidify", tmp_path / "house.png", "--out", out, "--height-mm", 60, *further)
+    assert call(*command) == 0
+    found = check_manifold(mnist3d.read_mesh(out))
+    assert found.lows_mm == (0.0,) * 6
+    assert size_mm(mnist3d.read_mesh(out))[1:] == pytest.approx((60, 5 if further else 8), abs=1e-3)
+    # The walls add no slivers, and even parts have few triangles.
+    assert len(mnist3d.read_mesh(out).faces) < 60_000
+    assert not {"overhang", "small-contact", "floating-part"} & set(inspect(mnist3d.read_mesh(out)).warnings)
+    capsys.readouterr()
+    assert call("mnist3d", "validate", out) == 0
+    assert "--" not in capsys.readouterr().out.replace("---", "")
+
+
+def test_parts_in_the_air_are_told_with_their_heights(tmp_path: Path, capsys: Any) -> None:
+    solid = mnist3d.solidify(house(), mnist3d.SolidSpec(min_speck_mm2=0.5), height_mm=60)
+    lows_mm = check_manifold(solid).lows_mm
+    assert lows_mm[0] == 0
+    assert 0.1 < lows_mm[1] < lows_mm[5] < 4
+    mnist3d.write_mesh(tmp_path / "house.stl", solid)
+    assert call("mnist3d", "validate", tmp_path / "house.stl") == 0
+    heights = ", ".join(f"{low_mm:.2f}" for low_mm in lows_mm[1:])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"floating-part: 5 of 6 parts begin above the plate, at {heights} mm; next: " in printed
+
+
 def test_a_base_plate_needs_a_solid() -> None:
     plain = mnist3d.solidify(SyntheticSource().image(7).pixels)
     with pytest.raises(ItemError):
-        on_base_plate(Mesh(plain.vertices_m, plain.faces[1:]), 2.0)
+        with_flat_underside(Mesh(plain.vertices_m, plain.faces[1:]), 2.0)
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -181,9 +210,9 @@ def test_a_folder_of_pictures_makes_a_file_each_and_names_what_failed(tmp_path: 
 def test_each_warning_has_a_measured_value_and_a_next_step(tmp_path: Path, capsys: Any) -> None:
     word(8).save(tmp_path / "word.png")
     out = tmp_path / "word.stl"
-    assert call("mnist3d", "solidify", tmp_path / "word.png", "--out", out, "--height-mm", 15) == 0
+    assert call("mnist3d", "solidify", tmp_path / "word.png", "--out", out, "--height-mm", 10) == 0
     printed = capsys.readouterr().out
-    for name in ("separate-bodies", "small-contact"):
+    for name in ("thin-wall", "separate-bodies", "small-contact"):
         assert f"word.stl: {name}: " in printed
         assert f"(see docs/warnings.md#{name})" in printed
     assert "--base-mm 2" in printed
@@ -195,6 +224,7 @@ def test_each_warning_has_a_measured_value_and_a_next_step(tmp_path: Path, capsy
         call("mnist3d", *again, "--overwrite", "--base-mm", 2, "--thickness-mm", 3, "--edge-profile", "flat")
         == 0
     )
+    assert "the drawing is 51.1 x 40.0 mm, and its base plate is larger" in capsys.readouterr().out
     found = inspect(mnist3d.read_mesh(out))
     assert (found.bodies, found.warnings) == (1, ())
     assert found.size_mm[1:] == pytest.approx((46, 5), abs=0.3)
@@ -283,4 +313,4 @@ def test_digits_with_a_small_first_layer_are_cured_by_a_plate(tmp_path: Path) ->
     source = SyntheticSource()
     digits = (mnist3d.solidify(source.image(number).pixels) for number in range(0, 1400, 70))
     thin = islice((digit for digit in digits if "small-contact" in inspect(digit).warnings), 2)
-    assert [inspect(on_base_plate(digit, 2.0)).warnings for digit in thin] == [(), ()]
+    assert [inspect(with_flat_underside(digit, 2.0)).warnings for digit in thin] == [(), ()]

@@ -24,7 +24,7 @@ from tactile_toolkit.printing.file_export import choose
 from tactile_toolkit.printing.plate_layouts import PlacedObject, arrange
 from tactile_toolkit.printing.print_options import PlateSpec
 from tests.command_line import call
-from tests.mnist3d.drawn_pictures import child, word
+from tests.mnist3d.drawn_pictures import child, house, word
 from tests.processes import PATIENCE_S
 
 SLICER = shutil.which("prusa-slicer") or ""
@@ -188,7 +188,7 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.DigitDataset
 @pytest.mark.parametrize(
     "shape", [(), ("--base-mm", 2), ("--bridge-mm", 3)], ids=["plain", "base", "bridges"]
 )
-@pytest.mark.parametrize("draw", [word, child])
+@pytest.mark.parametrize("draw", [word, child, house])
 def test_a_drawing_slices_after_one_command(draw: Callable[[], Any], shape: Any, tmp_path: Path) -> None:
     draw().save(tmp_path / "drawing.jpg")
     out = tmp_path / "drawing.3mf"
