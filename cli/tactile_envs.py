@@ -59,8 +59,8 @@ _POLICY = text(
     "random",
     metavar="NAME",
     read=str,
-    complete=("random", "constant", "oracle"),
-    help="random, constant, oracle (knows the answer), or module:attribute of your own.",
+    complete=("random", "constant", "oracle", "rule"),
+    help="random, constant, oracle (knows the answer), rule (follows objects), or your own module:attribute.",
 )
 _ASSETS = text(
     metavar="DIR",
@@ -136,8 +136,9 @@ def evaluate(
 
     Example: tactile-envs evaluate TactileMNIST-Depth-test-v0 --policy constant --out constant
     """
-    from tactile_envs.episodes.reports import REPORT_FILES  # numpy
+    from tactile_envs.episodes.reports import REPORT_FILES, figure_class  # numpy
 
+    figure_class()  # an evaluation takes minutes
     written = store.open_output(out, REPORT_FILES, overwrite=overwrite)
     with sink.progress("playing episodes", "groups") as update:
         spec = _episode_spec(env_id, episodes, num_envs, assets=assets)

@@ -223,6 +223,8 @@ class AssetProvider:
 
     def is_being_made(self, name: str) -> bool:
         """Return whether a process makes a split of ``KINDS`` at this moment."""
+        if not store.path_exists(self._lock_of(name)):
+            return False
         try:
             with store.locked(self._lock_of(name), patience_s=0.0):
                 return False
@@ -236,9 +238,8 @@ class AssetProvider:
         return default_set
 
     def _lock_of(self, name: str) -> Path:
-        """Return the file that is locked while splits of a kind are made; its folder is created."""
+        """Return the file that is locked while splits of a kind are made."""
         # The file is never removed: otherwise two processes could each lock a file of that name.
-        store.open_folder(str(self.root)).require_folder()
         return self.root / f".{name}.lock"
 
     def touches(
@@ -319,6 +320,7 @@ class AssetProvider:
                 self._refuse_missing(error, name, split, default_set)
             elif not self._generate:
                 raise
+        store.open_folder(str(self.root)).require_folder()
         with store.locked(self._lock_of(name), is_patient=True):
             try:
                 # Another process may have made it while this one waited.

@@ -27,6 +27,8 @@ SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
 OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
 """Optics of each simulated sensor."""
+MOVE = "sensor_target_pos_rel"
+"""The part of an action that moves the sensor, in parts of the longest step."""
 DIRECT = "direct"
 """The sensor that shows recorded images as they are."""
 GELSIGHT_M = (0.032, 0.028)

@@ -10,7 +10,7 @@ from math import pi
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from tactile_envs.config import DIRECT, GELSIGHT_M, SENSORS, Config, RecordedConfig
+from tactile_envs.config import DIRECT, GELSIGHT_M, MOVE, SENSORS, Config, RecordedConfig
 from tactile_sim import SensorNoise
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
@@ -195,7 +195,7 @@ def _row(name: str, spec: EnvSpec) -> EnvId:
     if config.sensor_type == "depth":
         channels = 1
     observation: dict[str, tuple[int, ...]] = {"sensor_img": (height, width, channels), "sensor_pos": (3,)}
-    action: dict[str, tuple[int, ...]] = {"sensor_target_pos_rel": (3,)}
+    action: dict[str, tuple[int, ...]] = {MOVE: (3,)}
     if isinstance(config, Config) and config.allow_sensor_rotation:
         observation["sensor_rot"] = (6,)
         action["sensor_target_rot_rel"] = (3,)

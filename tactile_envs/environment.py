@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from realtouch import Poses
 from tactile_envs import config, drawing, motion, tasks
 from tactile_envs.config import Action, Info, Observation, Options
-from tactile_envs.scene import SceneObjects, TouchScene
+from tactile_envs.scene import Camera, SceneObjects, TouchScene
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 
@@ -310,6 +310,11 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def close_extras(self, **_: object) -> None:
         """End the threads."""
         self._scene.close()
+
+    @property
+    def camera(self) -> Camera | None:
+        """What renders the images of simulated touches; None for recorded ones."""
+        return self._scene.camera
 
     @property
     def sensor_pos_limits(self) -> tuple[Float64, Float64]:

@@ -51,13 +51,14 @@ class MeshScene(scene.TouchScene):
     """
 
     config: Config
+    camera: scene.Camera
 
     def __init__(
         self, config: Config, records: object_sets.Objects, num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, num_envs, camera.channels)
         self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)
-        self._camera = camera
+        self.camera = camera
         self._elastic: ElasticGel | None = None
         met = camera.sensor
         if config.elastic_gel is not None:
@@ -180,7 +181,7 @@ class MeshScene(scene.TouchScene):
             # One draw for all, as published.
             slip_m = rng.normal(scale=config.translation_perturbation_scale, size=2)
             drift = np.array([*slip_m, rng.normal(scale=config.rotation_perturbation_scale)])
-        has_depth = config.depth_in_info or self._camera.sees_depth or self._elastic is not None
+        has_depth = config.depth_in_info or self.camera.sees_depth or self._elastic is not None
         sensors, objects = self._sensors[rows], self.planar_poses[rows]
         draws = self._randomization.touch(len(sensors), rng)
         axes = np.ascontiguousarray(self._axes[rows])
@@ -192,7 +193,7 @@ class MeshScene(scene.TouchScene):
             touches, felt["force"] = self._elastic.press(touches, sensors, axes, self._motion)
         if rows is not motion.EVERY:  # otherwise both are views
             self._sensors[rows], self.planar_poses[rows] = sensors, objects
-        images = self._camera.pictures(touches, draws.bases)
+        images = self.camera.pictures(touches, draws.bases)
         images = self._randomization.add_noise(images, rows, draws)
         self._keep(rows, images)
         poses: AnyArray = self._poses[rows].copy()
@@ -275,7 +276,7 @@ class MeshScene(scene.TouchScene):
             self._targets[row],
             self._felt[row],
             self.config.cell_size,
-            self._camera.sensor.window_m,
+            self.camera.sensor.window_m,
             self._axes[row, :2, :2],
         )
 

@@ -12,14 +12,12 @@ import numpy as np
 
 from realtouch import Poses
 from tactile_envs import motion
-from tactile_envs.config import Action, Config, EpisodeConfig, Space
+from tactile_envs.config import MOVE, Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.touch_kernels import SensorReadings
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Floating, Int64, JsonDict
-
-_MOVE = "sensor_target_pos_rel"
 
 
 class SceneObjects(NamedTuple):
@@ -61,9 +59,12 @@ class TouchScene(ABC):
         Number of the object in each cell; -1 before the first episode.
     planar_poses : ndarray of float64, shape (num_envs, 3)
         Position (x, y) of each object, metres, and its rotation about z, radians, cell frame.
+    camera : Camera or None
+        Renders the images of simulated touches.
     """
 
     config: EpisodeConfig
+    camera: Camera | None = None
 
     def __init__(self, config: EpisodeConfig, num_envs: int, channels: int) -> None:
         self.config, self.num_envs = config, num_envs
@@ -71,7 +72,7 @@ class TouchScene(ABC):
         self.numbers = np.full(num_envs, -1, np.int64)
         self.planar_poses, self._targets = np.zeros((2, num_envs, 3))
         corner = np.ones(3, np.float32)
-        self.action_parts: dict[str, Space] = {_MOVE: gym.spaces.Box(-corner, corner)}
+        self.action_parts: dict[str, Space] = {MOVE: gym.spaces.Box(-corner, corner)}
         self.observation_parts: dict[str, Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": ap_gym.ImageSpace(*config.sensor_output_size, channels, dtype=np.float32),
@@ -86,7 +87,7 @@ class TouchScene(ABC):
 
     def checked_action(self, action: Action) -> Action:
         """Return the arrays of an action of all cells; InputError or ValueError if it cannot be used."""
-        return {_MOVE: motion.require_move(action, _MOVE, self.num_envs)}
+        return {MOVE: motion.require_move(action, MOVE, self.num_envs)}
 
     @property
     @abstractmethod
@@ -96,9 +97,9 @@ class TouchScene(ABC):
     def aim(self, action: Action, rows: motion.Rows) -> Float32:
         """Set the targets of sensors in some cells from an action; return the costs, (num_envs,)."""
         if rows is motion.EVERY:
-            return self._motion.aim(action[_MOVE], self._positions_m, self._targets)
+            return self._motion.aim(action[MOVE], self._positions_m, self._targets)
         targets = self._targets.copy()
-        costs = self._motion.aim(action[_MOVE], self._positions_m, targets)
+        costs = self._motion.aim(action[MOVE], self._positions_m, targets)
         self._targets[rows] = targets[rows]
         return costs
 
@@ -214,14 +215,14 @@ class Camera:
         images = np.empty((len(bases), height, width, self.channels), np.float32)
         # Touches that meet only the plate share an image for each map behind them.
         for base in np.unique(bases[touches.is_bare]).tolist():
-            images[touches.is_bare & (bases == base)] = self._bare_picture(base)
+            images[touches.is_bare & (bases == base)] = self.bare_picture(base)
         touched = np.flatnonzero(~touches.is_bare)
         if len(touched):
             images[touched] = self._shades(touches.depths_m[touched], bases[touched])
         return images
 
-    def _bare_picture(self, base: int) -> Float32:
-        """Return the image of a touch that meets only the plate, in front of a map."""
+    def bare_picture(self, base: int = 0) -> Float32:
+        """Return the image (H, W, channels) of a touch that meets only the plate, in front of a map."""
         if base not in self._bare:
             width, height = self.sensor.size_px
             # The plate is pressed in evenly.

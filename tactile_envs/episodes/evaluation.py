@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,13 @@ _RESAMPLED = 2000
 _INTERVAL = (2.5, 97.5)
 _LIBRARIES = ("tactile-toolkit", "ap-gym", "gymnasium", "numpy", "scipy", "numba")
 
-Curves = tuple[Int64, dict[str, Float64]]
-"""Object of each episode (n,), and each metric at all of its steps (n, T)."""
+
+class Curves(NamedTuple):
+    """Objects and returns of episodes, (n,) each, and metrics at all of their steps, (n, T)."""
+
+    objects: Int64
+    returns: Float64
+    metrics: dict[str, Float64]
 
 
 def evaluate(
@@ -71,14 +77,21 @@ def evaluate(
     env = episodes_of(spec).env
     protocol = {**spec.to_dict(), "weights": spec.weights_sha256(), "seeds": seeds, "split": env.split}
     protocol["objects"] = env.objects().files
-    metrics = _metrics(_played(spec, made, seeds, workers, on_progress))
+    played = _played(spec, made, seeds, workers, on_progress)
+    objects, returns = (
+        np.concatenate([getattr(group, name) for group in played]) for name in Curves._fields[:2]
+    )
+    metrics = {
+        name: _metric(objects, np.concatenate([group.metrics[name] for group in played]))
+        for name in played[0].metrics
+    }
     facts_of_run = {
         "versions": {name: version(name) for name in _LIBRARIES},
         "processor": platform.processor() or platform.machine(),
         "date": time.strftime("%Y-%m-%d"),
         "duration_s": round(time.monotonic() - start_s, 1),
     }
-    return Report(protocol, facts, metrics, facts_of_run)
+    return Report(protocol, facts, _summary(objects, returns), metrics, facts_of_run)
 
 
 def _played(
@@ -98,15 +111,6 @@ def _played(
     return [played[seeded.seed, group] for seeded, group in groups]
 
 
-def _metrics(played: list[Curves]) -> dict[str, Metric]:
-    """Summarise each metric of all groups."""
-    objects = np.concatenate([numbers for numbers, _ in played])
-    return {
-        name: _metric(objects, np.concatenate([curves[name] for _, curves in played]))
-        for name in played[0][1]
-    }
-
-
 def _curves(policy: Policy, group: tuple[EpisodeSpec, int]) -> tuple[tuple[int, int], Curves]:
     """Play a group of episodes of a seed; return the key of the group, and its curves."""
     spec, number = group
@@ -114,11 +118,13 @@ def _curves(policy: Policy, group: tuple[EpisodeSpec, int]) -> tuple[tuple[int, 
     count = min(spec.num_envs, spec.episodes - number * spec.num_envs)
     values: dict[str, Float64] = {}
     objects: Int64 | None = None
+    returns = np.zeros(spec.num_envs)
     for _, taken in episodes.play(policy, number):
         if objects is None:
             objects = episodes.env.current_data_point_indices
         if taken is None:
             break
+        returns += np.where(taken.has_action, taken.rewards, 0)
         for name, curve in taken.curves.items():
             if name.startswith("_"):
                 continue
@@ -126,7 +132,8 @@ def _curves(policy: Policy, group: tuple[EpisodeSpec, int]) -> tuple[tuple[int, 
             whole = values.setdefault(name, np.full((spec.num_envs, episodes.env.config.step_limit), np.nan))
             whole[ended, : curve.shape[1]] = curve[ended]
     assert objects is not None, "a group has a touch"
-    return (spec.seed, number), (objects[:count], {name: whole[:count] for name, whole in values.items()})
+    metrics = {name: whole[:count] for name, whole in values.items()}
+    return (spec.seed, number), Curves(objects[:count], returns[:count], metrics)
 
 
 def _metric(objects: Int64, curves: Float64) -> Metric:

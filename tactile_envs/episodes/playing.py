@@ -22,7 +22,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, JsonDict, JsonObject
 from tactile_toolkit.wording import did_you_mean
 
-with errors.needs_extra("playing episodes", "gymnasium", "envs"):
+with errors.needs_extra("playing episodes", "ap-gym", "envs"):
     import gymnasium
 
     from tactile_envs.config import Action, Info, Observation
@@ -131,6 +131,8 @@ class Touch:
         True answers.
     contacts : ndarray of bool, shape (n,), or None
         Whether it met the object; None where that is not known.
+    forces_n : ndarray of float32, shape (n, 3), or None
+        Force on the gel, newtons, sensor frame; None where the gel is not elastic.
     is_observed : ndarray of bool, shape (n,)
         Whether the touch belongs to an episode of the group.
     """
@@ -141,6 +143,7 @@ class Touch:
     object_quaternions: AnyArray
     targets: AnyArray
     contacts: Bool | None
+    forces_n: Float32 | None
     is_observed: Bool
 
 
@@ -202,16 +205,7 @@ class Episodes:
         is_observed = has_action = np.ones(env.num_envs, np.bool_)
         is_over = ~has_action
         while True:
-            poses = env.current_object_poses_platform_frame
-            touch = Touch(
-                observation,
-                info["sensor_pose"],
-                np.array(poses.position_m),
-                np.array(poses.quaternion),
-                np.array(env.current_prediction_targets),
-                env.current_contacts,
-                is_observed,
-            )
+            touch = self.touch(observation, info, is_observed)
             if not has_action.any():
                 yield touch, None
                 return
@@ -224,6 +218,20 @@ class Episodes:
             is_over = terminated | truncated
             is_observed = has_action
             has_action = has_action & ~is_over
+
+    def touch(self, observation: Observation, info: Info, is_observed: Bool) -> Touch:
+        """Return the last touch, which gave an observation and an info."""
+        poses = self.env.current_object_poses_platform_frame
+        return Touch(
+            observation,
+            info["sensor_pose"],
+            np.array(poses.position_m),
+            np.array(poses.quaternion),
+            np.array(self.env.current_prediction_targets),
+            self.env.current_contacts,
+            observation.get("force"),
+            is_observed,
+        )
 
     def _taken(
         self, action: Action, rewards: AnyArray, terminated: Bool, has_action: Bool, stats: Info

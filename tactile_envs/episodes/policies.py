@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from tactile_envs.config import Action, Observation
+from tactile_envs.config import MOVE, Action, Observation
+from tactile_envs.episodes import touch_maps
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, JsonDict
 from tactile_toolkit.wording import did_you_mean
@@ -73,10 +74,31 @@ class OraclePolicy:
         return {**self._still, "prediction": targets.astype(np.float32)}
 
 
+class RulePolicy:
+    """Follows the objects that it feels; predicts equal classes, or the mean of all objects.
+
+    The next touch is where unknown surface is next to an object, or else near and not touched yet. The
+    sensor is not turned.
+    """
+
+    def begin(self, env: TactileVectorEnv, seed: int) -> None:
+        """Forget what was felt."""
+        self._maps = touch_maps.TouchMaps(env)
+        self._still = _still(env)["action"]
+        self._prediction = np.zeros(env.prediction_space.shape, np.float32)
+
+    def __call__(self, observation: Observation) -> Action:
+        """Return the next step."""
+        self._maps.add(observation)
+        move = self._maps.next_steps()
+        return {"action": {**self._still, MOVE: move}, "prediction": self._prediction}
+
+
 POLICIES: Mapping[str, Callable[[], Policy]] = {
     "random": RandomPolicy,
     "constant": ConstantPolicy,
     "oracle": OraclePolicy,
+    "rule": RulePolicy,
 }
 """The policies that have a name."""
 
@@ -104,8 +126,8 @@ def policy_named(name: str | Policy) -> Policy:
     Parameters
     ----------
     name : str or callable
-        ``"random"``, ``"constant"``, ``"oracle"``, or ``"module:attribute"``: a policy, or a class of which
-        one is made. Modules of the working folder are found, too.
+        ``"random"``, ``"constant"``, ``"oracle"``, ``"rule"``, or ``"module:attribute"``: a policy, or a
+        class of which one is made. Modules of the working folder are found, too.
 
     Raises
     ------

@@ -16,7 +16,16 @@ from tactile_envs.episodes.kind import KIND
 from tactile_envs.episodes.playing import Episodes, EpisodeSpec, Taken, Touch, episodes_of
 from tactile_envs.episodes.policies import Policy
 from tactile_toolkit import generation, read, rows, store, touch
-from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int64, JsonDict, JsonObject, UInt8
+from tactile_toolkit.value_types import (
+    AnyArray,
+    Bool,
+    Float32,
+    Float64,
+    Int64,
+    JsonDict,
+    JsonObject,
+    UInt8,
+)
 
 _XY, _XYZ, _XYZW = (read.vectors_type(pa.float64(), size) for size in (2, 3, 4))
 _QUALITY = 95
@@ -27,7 +36,8 @@ _SHARDS = 16
 _OF_TOUCHES = ("sensor_poses", "object_positions_m", "object_quaternions", "targets")
 _OF_ACTIONS = {"action": np.nan, "predictions": np.nan, "rewards": np.nan, "terminated": False}
 """What is stored of actions, and what stands for a missing one."""
-_CONTACT = "extra.in_contact"
+_OPTIONAL = {"contacts": "extra.in_contact", "forces_n": "extra.force_n"}
+"""What only some environments know of touches, and its column."""
 _ENCODINGS = (("sensor_image.list.element.bytes", "PLAIN"),)
 
 
@@ -82,7 +92,14 @@ class EpisodeRound(rows.TypedRow):
         pa.list_(pa.bool_()),
         "T",
         "whether the touch met the object, not only the plate; only for sensors that stay upright",
-        name=_CONTACT,
+        name=_OPTIONAL["contacts"],
+        default=None,
+    )
+    force_n: Float32 | None = rows.column(
+        read.vectors_type(pa.float32(), 3),
+        "T x 3, N, sensor frame: x, y, z",
+        "force of the object on the gel, z in the direction in which it is pressed in; only for elastic gels",
+        name=_OPTIONAL["forces_n"],
         default=None,
     )
 
@@ -91,7 +108,7 @@ class _Form(NamedTuple):
     """What the environments decide about a data set: split, vectors of the action, targets, objects."""
 
     split: str
-    knows_contact: bool
+    optional: tuple[str, ...]
     action_parts: dict[str, int]
     predictions: int
     target_type: pa.DataType
@@ -104,13 +121,13 @@ class _Form(NamedTuple):
     def of(cls, episodes: Episodes) -> _Form:
         """Begin an episode, whose targets have the type of all."""
         env = episodes.env
-        env.reset(seed=0)
-        targets = env.current_prediction_targets
+        touched = episodes.touch(*env.reset(seed=0), np.ones(env.num_envs, np.bool_))
+        targets = touched.targets
         leaf = pa.from_numpy_dtype(targets.dtype)
         target_type = pa.list_(leaf) if targets.ndim == 1 else read.vectors_type(leaf, targets.shape[1])
         return cls(
             env.split,
-            env.current_contacts is not None,
+            tuple(name for name in _OPTIONAL if getattr(touched, name) is not None),
             episodes.action_parts,
             env.prediction_space.shape[1],
             target_type,
@@ -174,9 +191,8 @@ class EpisodeGenerator(generation.RowGenerator):
             "extra.prediction": read.vectors_type(pa.float32(), self.form.predictions),
             "extra.target": self.form.target_type,
         }
-        stored = list(EpisodeRound.plain_schema())
-        if not self.form.knows_contact:
-            stored = [column for column in stored if column.name != _CONTACT]
+        unknown = [column for name, column in _OPTIONAL.items() if name not in self.form.optional]
+        stored = [column for column in EpisodeRound.plain_schema() if column.name not in unknown]
         schema = pa.schema([pa.field(column.name, types.get(column.name, column.type)) for column in stored])
         return touch.with_features(schema, self.form.label_names)
 
@@ -203,7 +219,7 @@ class EpisodeGenerator(generation.RowGenerator):
             for index in chosen:
                 if touched.is_observed[index]:
                     images[index].append(touch.encode_image(pixels[index], self.image_format, _QUALITY))
-        names = [*_OF_TOUCHES, *["contacts"][: self.form.knows_contact]]
+        names = *_OF_TOUCHES, *self.form.optional
         stacked = {name: np.stack([getattr(touched, name) for touched in touches], axis=1) for name in names}
         done = {name: _actions(actions, name, len(touches), missing) for name, missing in _OF_ACTIONS.items()}
         suffix = touch.IMAGE_SUFFIX[self.image_format]
@@ -229,6 +245,7 @@ class EpisodeGenerator(generation.RowGenerator):
                 reward=of_action["rewards"],
                 terminated=of_action["terminated"],
                 in_contact=of_touch.get("contacts"),
+                force_n=of_touch.get("forces_n"),
             )
 
     def statistics(self, rows: Sequence[EpisodeRound]) -> Mapping[str, float]:
@@ -271,8 +288,8 @@ def record(
         Environment, number of episodes, and seed.
     policy : str or callable
         What acts and predicts: a function that takes the observations of n environments and returns their
-        ``{"action": ..., "prediction": ...}``; or ``"random"``, ``"constant"``, ``"oracle"``, or
-        ``"module:attribute"``.
+        ``{"action": ..., "prediction": ...}``; or ``"random"``, ``"constant"``, ``"oracle"``,
+        ``"rule"``, or ``"module:attribute"``.
     out : str or path-like
         Folder to write.
     image_format : "jpeg" or "png"

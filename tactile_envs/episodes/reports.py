@@ -11,10 +11,14 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tactile_toolkit import cards, errors, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import JsonDict, JsonObject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REPORT_FILES = ("report.json", "report.md", "report.png")
 """Files of a report."""
@@ -49,6 +53,8 @@ class Report:
         What must agree between reports that are compared: environment, settings, episodes, seeds, objects.
     policy : mapping
         Name and digest of the policy.
+    returns : Summary
+        Sum of the rewards of an episode, not discounted.
     metrics : mapping
         Results by the name of the metric.
     run : mapping
@@ -57,6 +63,7 @@ class Report:
 
     protocol: JsonObject
     policy: JsonObject
+    returns: Summary
     metrics: Mapping[str, Metric]
     run: JsonObject
 
@@ -111,7 +118,7 @@ class Report:
 
 
 def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
-    """Return a table of several reports: metric, then mean and interval of each, average and final.
+    """Return a table of several reports: metric, then mean and interval of each, average, final or sum.
 
     Raises
     ------
@@ -129,11 +136,12 @@ def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
                     f"the reports {first_name!r} and {name!r} have another protocol: {key} is {shown}",
                     next="evaluate both policies with the same options and objects",
                 )
-    return [
+    metrics = [
         (metric, kind, *(_text(getattr(report.metrics[metric], kind)) for report in reports.values()))
         for metric in first.metrics
         for kind in ("average", "final")
     ]
+    return [*metrics, ("return", "sum", *(_text(report.returns) for report in reports.values()))]
 
 
 def _compared(report: Report) -> JsonDict:
@@ -141,12 +149,18 @@ def _compared(report: Report) -> JsonDict:
     return {**report.protocol, "metrics": list(report.metrics)}
 
 
-def draw_curves(reports: Mapping[str, Report]) -> bytes:
-    """Draw each metric of some reports by step and return the PNG; MissingExtraError without matplotlib."""
+def figure_class() -> type[Figure]:
+    """Return matplotlib's class of figures; MissingExtraError without matplotlib."""
     with errors.needs_extra("the picture of a report", "matplotlib", "pictures"):
         from matplotlib.figure import Figure
+    figure: type[Figure] = Figure
+    return figure
+
+
+def draw_curves(reports: Mapping[str, Report]) -> bytes:
+    """Draw each metric of some reports by step and return the PNG; MissingExtraError without matplotlib."""
     metrics = next(iter(reports.values())).metrics
-    figure = Figure(figsize=(5 * len(metrics), 3.6), layout="constrained")
+    figure = figure_class()(figsize=(5 * len(metrics), 3.6), layout="constrained")
     for axes, metric in zip(figure.subplots(1, len(metrics), squeeze=False)[0], metrics, strict=True):
         for name, report in reports.items():
             curve = report.metrics[metric].by_step

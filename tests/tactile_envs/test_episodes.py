@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from env_assets.mesh_view import PlannedView
 from tactile_envs import tasks
 from tactile_envs.config import Action, Observation
 from tactile_envs.entry_points import make_vector
-from tactile_envs.episodes import evaluation, policies, recording, replays, reports
+from tactile_envs.episodes import evaluation, policies, recording, replays, reports, touch_maps
 from tactile_envs.episodes.playing import EpisodeSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tests.cli.test_cards_cli import blocks, run_block
@@ -98,6 +99,23 @@ def test_a_recording_has_what_the_environment_gave(tmp_path, assets):
     in_contact = np.concatenate([held.extra["in_contact"] for held in rounds])
     assert 0 < in_contact.sum() < len(touches)
     assert len(touches.with_contact()) == in_contact.sum()
+
+
+def test_forces_of_an_elastic_gel_are_stored(tmp_path, assets):
+    spec = EpisodeSpec(ID, 2, 2, settings={"elastic_gel": "elastic", "step_limit": 3}, assets=assets)
+    recording.record(spec, "random", tmp_path / "set")
+    env = spec.open()
+    policy = policies.RandomPolicy()
+    observation, _ = env.reset(seed=spec.group_seed(0))
+    policy.begin(env, spec.group_seed(0))
+    rounds = realtouch.load(tmp_path / "set")
+    for step in range(4):
+        for index, held in enumerate(rounds):
+            np.testing.assert_array_equal(held.extra["force_n"][step], observation["force"][index])
+        if step < 3:
+            observation, *_ = env.step(policy(observation))
+    assert rounds[0].extra["force_n"][:, 2].min() > 0.5
+    assert "extra.force_n" in (tmp_path / "set" / "README.md").read_text()
 
 
 def test_bytes_do_not_depend_on_workers_parts_or_interruptions(tmp_path, assets):
@@ -199,13 +217,15 @@ def test_figures_are_those_of_the_statistics_of_the_environment(assets):
     env = make_vector(ID, num_envs=16, assets=assets, autoreset_mode="DISABLED")
     spec = EpisodeSpec(env_id=ID, episodes=48, num_envs=16)
     policy = policies.RandomPolicy()
-    averages, finals, curves = [], [], []
+    averages, finals, curves, returns = [], [], [], []
     for group in range(3):
         observation, _ = env.reset(seed=spec.group_seed(group))
         policy.begin(env, spec.group_seed(group))
         is_over = np.zeros(16, bool)
+        returns.append(np.zeros(16))
         while not is_over.any():
-            observation, _, terminated, truncated, info = env.step(policy(observation))
+            observation, rewards, terminated, truncated, info = env.step(policy(observation))
+            returns[-1] += rewards
             is_over = terminated | truncated
         averages += [*info["stats"]["scalar"]["avg_correct_label_prob"]]
         finals += [*info["stats"]["scalar"]["final_correct_label_prob"]]
@@ -214,6 +234,8 @@ def test_figures_are_those_of_the_statistics_of_the_environment(assets):
     assert found.average.mean == pytest.approx(np.mean(averages, dtype=float), abs=1e-6)
     assert found.final.mean == pytest.approx(np.mean(finals, dtype=float), abs=1e-6)
     np.testing.assert_allclose(found.by_step, np.concatenate(curves).mean(axis=0), atol=1e-6)
+    assert report.returns.mean == pytest.approx(np.mean(returns), rel=1e-6)
+    assert report.returns.low < report.returns.mean < report.returns.high
 
 
 def test_the_interval_is_that_of_objects_drawn_again():
@@ -237,14 +259,21 @@ def test_reports_are_the_same_from_any_workers_and_are_compared_only_if_alike(tm
     with pytest.raises(InputError, match="exists"):
         one.write(tmp_path / "one")
     table = reports.compare({"a": one, "b": two})
-    assert [row[:2] for row in table] == [
-        (name, kind) for name in one.metrics for kind in ("average", "final")
-    ]
+    kinds = [(name, kind) for name in one.metrics for kind in ("average", "final")]
+    assert [row[:2] for row in table] == [*kinds, ("return", "sum")]
     other = _report("random", assets, seeds=1)
     with pytest.raises(InputError, match="seeds is 2 and 1"):
         reports.compare({"a": one, "c": other})
     with pytest.raises(InputError, match="no report"):
         reports.Report.read(tmp_path)
+
+
+def test_an_evaluation_without_matplotlib_ends_before_it_begins(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.chdir(tmp_path)
+    assert call("tactile-envs", "evaluate", ID) == 2
+    assert "the picture of a report needs the package 'matplotlib'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def _damage(kind: str, file: Path) -> None:
@@ -276,7 +305,7 @@ def test_what_is_no_report_is_refused(kind, tmp_path):
     summary = reports.Summary(0.5, 0.4, 0.6)
     metrics = {"accuracy": reports.Metric(summary, summary, [0.5])}
     protocol = {"env_id": ID, "settings": {}, "episodes": 1, "seeds": 1, "objects": [], "split": "test"}
-    report = reports.Report(protocol, {"name": "mine", "sha256": None}, metrics, {"versions": {}})
+    report = reports.Report(protocol, {"name": "mine", "sha256": None}, summary, metrics, {"versions": {}})
     report.write(tmp_path)
     assert reports.Report.read(tmp_path) == report
     _damage(kind, tmp_path / "report.json")
@@ -468,3 +497,48 @@ def test_the_command_line_records_replays_evaluates_and_compares(tmp_path, asset
     monkeypatch.setattr(recording, "_QUALITY", 40)
     assert call("tactile-envs", "replay", "episodes", *objects) == 1
     assert "touch 0 has another image" in capsys.readouterr().out
+
+
+def _boxes(folder: Path) -> Path:
+    """Write two boxes, 8 and 6 mm high, as objects of two classes."""
+    for label, size_mm in enumerate(((40.0, 12.0, 8.0), (24.0, 20.0, 6.0))):
+        path = folder / str(label) / "box.stl"
+        path.parent.mkdir(parents=True)
+        trimesh.creation.box(size_mm).export(path)
+    return folder
+
+
+@pytest.mark.parametrize(("env_id", "pixel_m"), [(ID, 0.003), ("Toolbox-Depth-v0", 0.006)])
+def test_maps_show_the_touched_surface_where_it_is(tmp_path, env_id, pixel_m):
+    still = {"perturb_object_pose": False, "step_limit": 24}
+    env = make_vector(env_id, num_envs=16, assets=_boxes(tmp_path), config=still)
+    policy = policies.RulePolicy()
+    observation, _ = env.reset(seed=4)
+    policy.begin(env, 4)
+    for _ in range(23):
+        observation, *_ = env.step(policy(observation))
+    maps = policy._maps
+    assert maps.pixel_m == pixel_m
+    is_shown = maps.freshness > 0
+    for row, (x_m, y_m, turn_rad) in enumerate(env._scene.planar_poses):
+        length_m, width_m, height_m = np.ptp(env.current_data_points[row].vertices_m, axis=0)
+        dx, dy = maps.x_m - x_m, (maps.y_m - y_m)[:, None]
+        along = abs(np.cos(turn_rad) * dx + np.sin(turn_rad) * dy) - length_m / 2
+        across = abs(np.cos(turn_rad) * dy - np.sin(turn_rad) * dx) - width_m / 2
+        outside_m = np.maximum(along, across)
+        inside = is_shown[row] & (outside_m < -pixel_m)
+        np.testing.assert_allclose(maps.relief[row][inside], 100 * height_m, atol=0.01)
+        assert maps.relief[row][is_shown[row] & (outside_m > pixel_m)].max(initial=0) < 0.01
+    assert (maps.relief > touch_maps.OBJECT_RELIEF).any(axis=(1, 2)).sum() > 2
+
+
+def test_the_rule_meets_objects_far_more_often_than_chance(tmp_path, assets):
+    share = {}
+    for name in ("rule", "random"):
+        manifest = recording.record(EpisodeSpec(ID, 64, assets=assets), name, tmp_path / name)
+        assert manifest.spec["options"]["policy"]["name"] == name
+        touches = realtouch.load(tmp_path / name)
+        share[name] = np.mean(np.concatenate([held.extra["in_contact"] for held in touches]))
+    assert share["rule"] > 1.8 * share["random"]
+    with pytest.raises(InputError, match="recorded"):
+        evaluation.evaluate(EpisodeSpec("TactileMNISTRealSnap-train-v0", 4, assets=assets), "rule")

@@ -157,7 +157,7 @@ def test_taxim_within_a_level(provider, assets, packages):
         one, other = theirs[1]["sensor_img"], ours[1]["sensor_img"]
         off = 255 * np.abs(one - other).max(axis=3)
         assert (off <= 26).mean() > 0.999
-        shows = 255 * np.abs(other - native._scene._camera._bare_picture(0)).max(axis=3) > 1
+        shows = 255 * np.abs(other - native.camera.bare_picture()).max(axis=3) > 1
         near, seen = near + int((off[shows] <= 1).sum()), seen + int(shows.sum())
 
     walk(published, native, 10, compare)

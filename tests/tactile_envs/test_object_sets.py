@@ -147,6 +147,8 @@ def test_a_process_in_the_background_makes_a_set(tmp_path, monkeypatch):
     meshes = provider.finished("mnist3d")
     assert MeshPool.kept(meshes).measure("id").tolist() == meshes.ids.tolist()
     assert not provider.is_being_made("mnist3d")
+    assert not AssetProvider(tmp_path / "other").is_being_made("mnist3d")
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_large_set_is_packed_by_several_processes_as_by_one(tmp_path, monkeypatch):

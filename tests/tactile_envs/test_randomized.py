@@ -339,7 +339,7 @@ def test_images_of_the_bare_plate_are_shared_with_depth_behind(envs, many_empty,
     pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     config = {"sensor_noise": None, "real_base_depth_dataset": many_empty, "real_base_depth_touches": 2}
     env = envs("TactileMNIST-DR-train-v0", num_envs=16, depth_in_info=True, **config)
-    camera = env._scene._camera
+    camera = env.camera
     seen, info = env.reset(seed=0)
     is_bare = (info["depth"] >= GEL_M - 1e-7).all(axis=(1, 2))
     assert is_bare.any()
@@ -386,7 +386,7 @@ def test_real_touches_lie_with_the_assets(envs, assets, estimator):
     """The published touches are first searched in the folder of the assets."""
     assert env_specs()[DEPTH].config.real_base_depth_dataset is not None
     env = envs(DEPTH)
-    assert estimator.images == len(env._scene._camera._behind) > 10
+    assert estimator.images == len(env.camera._behind) > 10
 
 
 def test_missing_real_touches(assets, envs, tmp_path, estimator, monkeypatch):
