@@ -336,15 +336,13 @@ def check(
             figure.name,
             f"{figure.value:.3g}",
             f"{figure.limit:g}",
-            "ok" if figure.ok else "CHANGED",
+            "ok" if figure.ok else "BEYOND",
             figure.meaning,
         )
         for figure in health.figures
     ]
     sink.table(("figure", "found", "limit", "", "what it is"), rows)
-    state = "the sensor is as it was calibrated"
-    if not health.ok:
-        state = "the sensor has changed: calibrate it again"
+    state = health.cause or "the sensor is as it was calibrated"
     sink.line(f"{with_count(health.images, 'images')} compared with {sensor}; {state}")
     if not health.ok:
         raise typer.Exit(EXIT_FAILED)

@@ -16,6 +16,7 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
+from tactile_sim.twin.sensor_health import detail_levels
 from tactile_sim.twin.twin import Twin, TwinOptics
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Bool, Int64
@@ -82,6 +83,7 @@ def calibrate(
     twin = Twin(shape, half_m, fit.coefficients.astype(np.float32), fit.background, {}, report)
     twin = replace(twin, reader=train_reader(twin, fit))
     report["residual_levels"] = _residual_levels(twin, fit)
+    report |= detail_levels(recordings.images)
     return model_of(twin, name)
 
 

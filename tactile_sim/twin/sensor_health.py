@@ -6,7 +6,7 @@ depth, and both images are compared. The twin cannot reproduce the images of a g
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 
@@ -52,6 +52,15 @@ _FIGURES = (
 _MARKER_PX, _MARKER_LEVELS = 7.0, 12.0  # a marker is smaller than this, and darker
 _SMOOTH_PX = 2.0
 _NO_CONTACT_M = 2e-5
+# Colours that are compared with those of the calibration, and their names in its report: brightness, and the
+# differences of colours, which compression keeps least. Their finest detail, the noise of the camera, differs
+# by at most 4 % between recordings of one sensor, and is halved at least by JPEG, H.264 or scaling.
+_DETAIL = {
+    "brightness_detail_levels": np.array([[0.25, 0.5, 0.25]]),
+    "colour_detail_levels": np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]]),
+}
+_MIN_DETAIL, _MAX_DETAIL = 0.6, 1.7  # relative to the calibration
+_LEAST_LEVELS = 0.2  # rounding to levels gives more
 _MIN_KNOWN = 0.2  # share of the gel that must be seen without contact
 _SATURATED_LEVEL = 254
 _BATCH = 4
@@ -74,20 +83,47 @@ class HealthFigure:
 
 @dataclass(frozen=True, slots=True)
 class SensorHealth:
-    """The figures of a check, and the number of images."""
+    """The figures of a check.
+
+    Attributes
+    ----------
+    images : int
+        Number of images that were compared.
+    figures : tuple of HealthFigure
+        Each with its limit.
+    recording : str
+        How size or compression of the images differ from those of the calibration; empty if they do not.
+    """
 
     images: int
     figures: tuple[HealthFigure, ...]
+    recording: str = ""
 
     @property
     def ok(self) -> bool:
         """Whether all figures are within their limits."""
         return all(figure.ok for figure in self.figures)
 
+    @property
+    def cause(self) -> str:
+        """What is likely to have moved figures beyond their limits; empty if all are within."""
+        beyond = [figure.name for figure in self.figures if not figure.ok]
+        if beyond == ["residual"] and self.recording:
+            return (
+                f"more likely the recording than the sensor: {self.recording}; record as for the calibration"
+            )
+        return "the sensor has changed: calibrate it again" if beyond else ""
+
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
         figures = [{**asdict(figure), "ok": figure.ok} for figure in self.figures]
-        return {"ok": self.ok, "images": self.images, "figures": figures}
+        return {
+            "ok": self.ok,
+            "images": self.images,
+            "figures": figures,
+            "recording": self.recording,
+            "cause": self.cause,
+        }
 
 
 def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
@@ -114,7 +150,8 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     if not isinstance(images, Iterable) or getattr(images, "ndim", 1) == 0:
         raise InputError(f"images are {shown(images)}; expected images, uint8, (H, W, 3)")
     size_px = (model.width_px, model.height_px)
-    scaled = [in_size_of(size_px, np.asarray(image)[None])[0] for image in images]
+    arrays = [np.asarray(image) for image in images]
+    scaled = [in_size_of(size_px, image[None])[0] for image in arrays]
     if len(scaled) < MIN_IMAGES:
         raise InputError(
             f"{with_count(len(scaled), 'images')} to compare with the sensor; expected at least {MIN_IMAGES}",
@@ -140,7 +177,44 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
         HealthFigure(name, float(value), limit, meaning)
         for value, (name, limit, meaning) in zip(values, _FIGURES, strict=True)
     )
-    return SensorHealth(len(stack), tuple(figures))
+    return SensorHealth(len(stack), tuple(figures), _recording(model, arrays))
+
+
+def detail_levels(images: Collection[UInt8] | UInt8) -> dict[str, float]:
+    """Return the finest detail of images (H, W, 3), levels, by its name in the report of a calibration."""
+    levels = {}
+    for name, colours in _DETAIL.items():
+        maps = (image @ colours.T for image in images)
+        bends = (2 * mixed[:, 1:-1] - mixed[:, :-2] - mixed[:, 2:] for mixed in maps)
+        # Of noise that is independent at each pixel, this is its standard deviation.
+        levels[name] = float(np.median([np.sqrt((bend * bend).mean() / 6) for bend in bends]))
+    return levels
+
+
+def _recording(model: SensorModel, images: Collection[UInt8]) -> str:
+    """Return how size or compression of images differ from those of the calibration; empty if they do not."""
+    sizes = {image.shape[1::-1] for image in images} - {(model.width_px, model.height_px)}
+    if sizes:
+        (width, height), *_ = sorted(sizes)
+        return (
+            f"images have {width} x {height} pixels, those of the calibration {model.width_px} x "
+            f"{model.height_px}"
+        )
+    today = detail_levels(images)
+    shares = {
+        name: max(level, _LEAST_LEVELS) / max(model.report[name], _LEAST_LEVELS)
+        for name, level in today.items()
+        if name in model.report  # calibrations by earlier versions have none
+    }
+    if len(shares) < len(_DETAIL):
+        return ""
+    brightness, colour = shares.values()
+    if min(brightness, colour) >= _MIN_DETAIL and colour <= _MAX_DETAIL:
+        return ""
+    return (
+        f"the finest detail of images is {brightness:.2f} times that of the calibration in brightness and "
+        f"{colour:.2f} times in colour: they were compressed otherwise"
+    )
 
 
 def images_of(source: str | PathLike[str], most: int = MAX_IMAGES) -> list[UInt8]:

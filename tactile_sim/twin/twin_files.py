@@ -93,7 +93,8 @@ def read_sensor(folder: str | Path, names: Sequence[str]) -> tuple[dict[str, Any
 
 def _require_report(report: Mapping[str, Any]) -> None:
     """Raise ValueError unless a report has numbers and touches as a calibration writes them."""
-    wrong = [name for name in _REPORTED if not 0 <= float(report[name]) < np.inf]
+    optional = [name for name in report if name.endswith("_detail_levels")]
+    wrong = [name for name in (*_REPORTED, *optional) if not 0 <= float(report[name]) < np.inf]
     touches = [{"reason": "", **touch} for touch in report["touches"] if touch["used"] in (True, False)]
     texts = [touch[name] for touch in touches for name in ("name", "reason")]
     if wrong or len(touches) < len(report["touches"]) or not all(isinstance(text, str) for text in texts):

@@ -91,7 +91,7 @@ def test_check_compares_the_sensor_with_touches_of_today(
     object.__setattr__(darker, "images", (recording.images * 0.8).astype(np.uint8))
     darker.write(tmp_path)
     assert call("tactile-sim", "check", place / "mine", tmp_path / "images") == 1
-    assert "CHANGED" in capsys.readouterr().out
+    assert "BEYOND" in capsys.readouterr().out
 
 
 @pytest.mark.thorough

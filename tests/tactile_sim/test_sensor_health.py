@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import re
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from tactile_sim.twin.sensor_health import SensorHealth, check_sensor, images_of
+from tactile_sim.twin.sensor_health import SensorHealth, check_sensor, detail_levels, images_of
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import HiddenSensor, digits, draw_sensor
@@ -90,6 +93,46 @@ def test_a_gel_with_markers_is_seen(twin: PerfectTwin) -> None:
     (markers,) = [each for each in found.figures if each.name == "markers"]
     assert not markers.ok
     assert markers.value > 0.02
+
+
+def compressed(images: np.ndarray) -> np.ndarray:
+    pictures = []
+    for image in images:
+        stream = io.BytesIO()
+        Image.fromarray(image).save(stream, "JPEG", quality=75, subsampling=2)
+        pictures.append(np.asarray(Image.open(stream)))
+    return np.stack(pictures)
+
+
+def enlarged(images: np.ndarray) -> np.ndarray:
+    return images.repeat(2, axis=1).repeat(2, axis=2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (compressed, r"more likely the recording.*0\.\d+ times in colour: they were compressed otherwise"),
+        (
+            enlarged,
+            "more likely the recording.*images have 240 x 180 pixels, those of the calibration 120 x 90",
+        ),
+        (np.copy, "^the sensor has changed: calibrate it again$"),
+        (lambda images: np.clip(compressed(images) * 1.08, 0, 255), "^the sensor has changed"),
+    ],
+)
+def test_another_compression_or_size_is_named_as_the_cause(
+    twin: PerfectTwin, change: Any, words: str
+) -> None:
+    sensor = replace(twin.of, jpeg=0)
+    raw = PerfectTwin(sensor, sensor.record(digits(2), 12, seed=1))
+    raw.report |= detail_levels(raw.recording.images)
+    usual = raw.recording.images
+    assert not health(raw, usual).cause
+    raw.report["noise_levels"] /= 20  # so that the residual is beyond its limit
+    found = health(raw, np.asarray(change(usual), np.uint8))
+    assert not found.ok
+    assert re.search(words, found.cause)
+    assert found.to_dict()["cause"] == found.cause
 
 
 def test_too_few_images_are_refused(twin: PerfectTwin) -> None:
