@@ -243,9 +243,10 @@ class Alignment:
     ----------
     method : "nearest" or "linear"
         Value of a picture: that of the nearest sample, the earlier of two equally near; or the linear
-        interpolation between the two samples around it. Quaternions are interpolated on the shorter rotation,
-        and columns whose names state degrees or radians on the shorter way around the circle. Text, integers
-        and booleans are always those of the nearest sample.
+        interpolation between the two samples around it. Quaternions, of a pose or in a column called
+        orientation, rotation or quaternion, are interpolated on the shorter rotation, and columns whose names
+        state degrees or radians on the shorter way around the circle. Text, integers and booleans are always
+        those of the nearest sample.
     max_gap_ms : float
         A picture gets a missing value if its nearest sample is farther away than this, or if it lies between
         two samples that are farther apart, milliseconds.

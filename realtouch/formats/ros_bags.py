@@ -96,8 +96,7 @@ def _add(
     for transform in topic.decoded(bag.read(message.location)).transforms:
         name = f"{channel.topic}/{transform.child_frame_id}"
         of_frame = _topic_of(topics, bag_files.Channel(name, ros_topics.TRANSFORM, channel.encoding))
-        stamp = transform.header.stamp
-        of_frame.add_values(transform, message.received_ns, stamp.sec * ros_topics.NS + stamp.nanosec)
+        of_frame.add_values(transform, message.received_ns)
 
 
 def _topic_of(topics: dict[str, ros_topics.Topic], channel: bag_files.Channel) -> ros_topics.Topic:

@@ -123,8 +123,6 @@ class Topic:
         Location of each picture, three numbers.
     detail : str
         Encoding or format of the first picture.
-    has_header : bool
-        Whether messages begin with a header.
     """
 
     channel: bag_files.Channel
@@ -136,19 +134,15 @@ class Topic:
     stamps_ns: Any = field(default_factory=lambda: array("q"))
     locations: Any = field(default_factory=lambda: array("q"))
     detail: str = ""
-    has_header: bool = False
 
     def __post_init__(self) -> None:
-        encoding, kind = self.channel.encoding, self.channel.kind
-        fields = _fields_of(encoding, kind)
-        self.has_header = any(of == _HEADER for _, of, _ in fields[:1])
-        if not fields:
+        topic, kind, encoding = self.channel
+        if not _fields_of(encoding, kind):
             self.problem = "a type that ROS does not define"
         elif not kind.startswith(_PACKAGES) or kind in _NO_STREAMS:
             self.problem = "no measurements"
         elif kind not in (IMAGE, _COMPRESSED, TRANSFORMS):
-            name = self.channel.topic.strip("/").replace("/", ".")
-            self.getters = dict(_getters(encoding, kind, "", name))
+            self.getters = dict(_getters(encoding, kind, "", topic.strip("/").replace("/", ".")))
 
     @property
     def title(self) -> str:
@@ -194,22 +188,24 @@ class Topic:
 
     def add(self, bag: bag_files.BagFile, message: bag_files.Message) -> None:
         """Add a message; ItemError if it is damaged."""
-        if not self.is_of_pictures and not self.getters:
-            self._add_times(message.received_ns, 0)
-            return
-        head = bag.read(message.location, _HEAD_BYTES if self.detail else None)
-        stamp_ns = _stamp_ns(head, self.channel.encoding) if self.has_header else 0
         if self.getters:
-            self.add_values(self.decoded(head), message.received_ns, stamp_ns)
+            self.add_values(self.decoded(bag.read(message.location)), message.received_ns)
             return
-        if not self.detail:
-            picture = self.decoded(head)
-            self.detail = picture.encoding if self.channel.kind == IMAGE else picture.format or "compressed"
-        self.locations.extend(message.location)
-        self._add_times(message.received_ns, stamp_ns)
+        stamp_ns = 0
+        if self.is_of_pictures:
+            head = bag.read(message.location, _HEAD_BYTES if self.detail else None)
+            stamp_ns = _stamp_ns(head, self.channel.encoding)
+            if not self.detail:
+                picture = self.decoded(head)
+                self.detail = (
+                    picture.encoding if self.channel.kind == IMAGE else picture.format or "no format"
+                )
+            self.locations.extend(message.location)
+        self.received_ns.append(message.received_ns)
+        self.stamps_ns.append(stamp_ns)
 
-    def add_values(self, message: Any, received_ns: int, stamp_ns: int) -> None:
-        """Add the values of a message to the columns."""
+    def add_values(self, message: Any, received_ns: int) -> None:
+        """Add the values of a decoded message to the columns."""
         values = [_plain(getter(message)) for getter in self.getters.values()]
         longest = max((len(value) for value in values if isinstance(value, (list, str))), default=0)
         if longest > _LONGEST:
@@ -218,11 +214,9 @@ class Topic:
             self.rows.append(values)
             if len(self.rows) == _HELD_ROWS:
                 self.flush()
-        self._add_times(received_ns, stamp_ns)
-
-    def _add_times(self, received_ns: int, stamp_ns: int) -> None:
+        header = getattr(message, "header", None)
         self.received_ns.append(received_ns)
-        self.stamps_ns.append(stamp_ns)
+        self.stamps_ns.append(header.stamp.sec * NS + header.stamp.nanosec if header else 0)
 
     def flush(self) -> int:
         """Keep the last values in less memory; return the size of all values in bytes."""

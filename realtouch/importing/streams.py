@@ -34,6 +34,7 @@ StreamReport = tuple[str, ...]
 
 _PER_MS = 1e-3
 _QUATERNION = 4
+_ROTATIONS = ("orientation", "rotation", "quaternion", "quat")
 _WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, with a quaternion at the end
 _NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
 _NO_STREAM = "; if the table is not a stream of this recording, give it another name"
@@ -419,7 +420,8 @@ def _by_time(
 def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence[str]) -> dict[str, pa.Array]:
     """Return columns of floats interpolated between samples, and a pose with an interpolated rotation.
 
-    Columns whose names state a unit of angles are interpolated on the shorter way around the circle.
+    Columns whose names state a unit of angles are interpolated on the shorter way around the circle, and
+    those of four numbers whose names end in :data:`_ROTATIONS` as quaternions.
     """
     numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
     interpolated = {}
@@ -429,6 +431,8 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
         per_radian = units.Quantity.ANGLE.per_unit
         if unit in per_radian:
             interpolated[name] = around.on_circle(numbers[name], math.tau * per_radian[unit])
+        elif numbers[name].shape[1:] == (_QUATERNION,) and name.endswith(_ROTATIONS):
+            interpolated[name] = around.turned(numbers[name])
     if pose and numbers.keys() >= {*pose}:
         whole = np.column_stack([numbers[name] for name in pose])
         if whole.shape[1] in _WITH_QUATERNION:

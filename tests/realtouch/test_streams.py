@@ -158,6 +158,7 @@ def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) ->
         ("turned_deg", [710.0, 730.0, 750.0], [710, 715, 720, 725, 730, 740]),  # which counts turns
         ("yaw_rad", [6.2, 0.1], [6.2, None, None, None, 0.1]),
         ("level", [350.0, 10.0], [350, 265, 180, 95, 10]),
+        ("hand.orientation", [[0, 0, 0, 1.0], [0, 0, 0, -1.0]], [[0, 0, 0, 1.0]] * 4),  # one rotation
         ("wrist_deg", [[350.0, 0.0], [10.0, 20.0]], [[350, 0], [355, 5], [0, 10], [5, 15], [10, 20]]),
     ],
 )
