@@ -125,9 +125,7 @@ def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
     is_file = home.is_local and Path(home.address()).is_file()
     if not (format_.is_export or is_file or home.address() in ledger.used):
         _list_unread(home, format_.layout, ledger)
-    has_streams = bool(aligner.tables)
-    reads_times = has_streams or cutter.reads_times
-    _require(_needs_of_columns(spec, completed, has_streams, reads_times), format_.layout)
+    _require(_needs_of_columns(spec, completed, aligner, cutter), format_.layout)
     touches = fields_of_whole(_checked(touches), completed)
     of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(ledger.left_out), versions)
     return ReadSource(
@@ -150,10 +148,10 @@ def _needs_of_format(spec: touch_options.ImportSpec, read: ImportFormat) -> list
 def _needs_of_columns(
     spec: touch_options.ImportSpec,
     columns: touch_options.ImportColumns,
-    has_streams: bool,
-    reads_times: bool,
+    aligner: Aligner,
+    cutter: cuts.Cutter,
 ) -> list[Need]:
-    """Return what options need of a source that has ``columns``, streams, and tables with times."""
+    """Return what options need of a source that has ``columns``, and was aligned and cut."""
     stated = spec.columns or touch_options.ImportColumns()
     has_angles = bool(columns.pose) and len(columns.pose or ()) not in touch_options.POSES_WITHOUT_ANGLES
     in_metres = columns.pose or columns.position
@@ -167,12 +165,14 @@ def _needs_of_columns(
         ("euler", stated.euler, columns.pose, pose),
         ("rotvec", stated.rotvec, columns.pose, pose),
         ("angle_unit", stated.angle_unit, has_angles, "a pose with angles"),
-        ("time_unit", stated.time_unit, columns.time or reads_times, times),
+        ("time_unit", stated.time_unit, columns.time or aligner.tables or cutter.reads_times, times),
     ]
     usual = touch_options.Alignment()
     for option in fields(usual):
         is_changed = getattr(spec.alignment or usual, option.name) != getattr(usual, option.name)
-        needs.append((option.name, is_changed, has_streams, "a stream (--stream)"))
+        # Streams in the file of the pictures have their clock, and need not last as long.
+        is_met = aligner.tables or (aligner.reports and option.name != "duration_tolerance")
+        needs.append((option.name, is_changed, is_met, "a stream (--stream)"))
     return needs
 
 

@@ -158,7 +158,7 @@ class Aligner:
     times : set of str
         Columns of times that were used.
     tables : set of str
-        Addresses of the tables and other streams that were read.
+        Addresses of the tables that were read.
 
     Raises
     ------
@@ -191,9 +191,10 @@ class Aligner:
         if recording.problem is not None:
             return recording
         for stream in sorted(recording.streams, key=lambda stream: stream.rows != recording.frames):
-            if source_files.address_of(stream.address) in self._no_streams:
-                continue
-            self.tables.add(stream.address)
+            if stream.time_column:  # a table
+                if source_files.address_of(stream.address) in self._no_streams:
+                    continue
+                self.tables.add(stream.address)
             try:
                 recording, reports = with_streams(recording, [stream], self._how, self._columns)
                 self.reports += reports

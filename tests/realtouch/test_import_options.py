@@ -14,7 +14,7 @@ import pytest
 import realtouch
 from realtouch.importing.import_sources import IMPORTS
 from tactile_toolkit.errors import InputError
-from tests.realtouch import factories
+from tests.realtouch import bags, factories
 from tests.realtouch.images_of_others import line, picture, write_table
 
 EXPORTED = ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch")
@@ -74,7 +74,12 @@ def hdf5(home: Path) -> None:
         file["time_s"] = np.arange(6) / 25
 
 
-MADE: dict[str, Callable[[Path], None]] = {"folder": folder, "video": video, "hdf5": hdf5}
+def rosbag(home: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs rosbags, of the extra ros")
+    bags.write(home / "run.bag", "ros1", bags.samples(bags.Messages("ros1")))
+
+
+MADE: dict[str, Callable[[Path], None]] = {"folder": folder, "video": video, "hdf5": hdf5, "rosbag": rosbag}
 
 
 @pytest.fixture(scope="session")
