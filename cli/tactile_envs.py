@@ -21,11 +21,11 @@ from tactile_toolkit.wording import with_count
 _environment_ids = lazy("tactile_envs:ids")
 _episode_generator = lazy("tactile_envs.episodes.recording:EpisodeGenerator.of")
 _episode_spec = lazy("tactile_envs.episodes.playing:EpisodeSpec")
-_replay = lazy("tactile_envs.episodes.replays:replay")
+_replay = lazy("tactile_envs.episodes.recording:replay")
 _evaluate = lazy("tactile_envs.episodes.evaluation:evaluate")
-_read_report = lazy("tactile_envs.episodes.reports:Report.read")
-_compare = lazy("tactile_envs.episodes.reports:compare")
-_draw_curves = lazy("tactile_envs.episodes.reports:draw_curves")
+_read_report = lazy("tactile_envs.episodes.evaluation:Report.read")
+_compare = lazy("tactile_envs.episodes.evaluation:compare")
+_draw_curves = lazy("tactile_envs.episodes.evaluation:draw_curves")
 
 app = application.new_app("tactile-envs", "Environments of active tactile perception.")
 
@@ -136,7 +136,7 @@ def evaluate(
 
     Example: tactile-envs evaluate TactileMNIST-Depth-test-v0 --policy constant --out constant
     """
-    from tactile_envs.episodes.reports import REPORT_FILES, figure_class  # numpy
+    from tactile_envs.episodes.evaluation import REPORT_FILES, figure_class  # numpy
 
     figure_class()  # an evaluation takes minutes
     written = store.open_output(out, REPORT_FILES, overwrite=overwrite)

@@ -12,8 +12,8 @@ from .entry_points import (
 from .environment import TactileVectorEnv as TactileVectorEnv
 from .episodes.playing import EpisodeSpec as EpisodeSpec
 from .episodes.evaluation import evaluate as evaluate
-from .episodes.reports import Report as Report, compare as compare
+from .episodes.evaluation import Report as Report, compare as compare
 from .episodes.recording import record as record
-from .episodes.replays import replay as replay
+from .episodes.recording import replay as replay
 
 __version__: str

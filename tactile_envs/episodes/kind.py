@@ -12,11 +12,11 @@ KIND = DatasetKind(
     content="episodes of environments",
     made_by="tactile-envs record",
     card_template="episodes.md",
-    write_card=lazy("tactile_envs.episodes.data_card:write_card"),
+    write_card=lazy("tactile_envs.episodes.recording:write_card"),
     needs=("sensor_image",),
     plan_previews=lazy("realtouch.touch_previews:plan_previews"),
     preview_spec=lazy("realtouch.touch_options:TouchPreviewSpec"),
     preview_options=("kinds", "split", "round_number", "touches"),
     plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
-    facts=lazy("tactile_envs.episodes.data_card:facts"),
+    facts=lazy("tactile_envs.episodes.recording:facts"),
 )

@@ -1,21 +1,30 @@
-"""Episodes as a data set of touches, a row for each: what a policy saw, did, predicted and earned."""
+"""Episodes as a data set of touches, a row for each: what a policy saw, did, predicted and earned; replays.
+
+In a replay, the same actions must give the same images and rewards. The data card, and what `info` tells,
+follow from the manifest.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple, Unpack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
+import realtouch
 from tactile_envs.episodes import policies
 from tactile_envs.episodes.kind import KIND
 from tactile_envs.episodes.playing import Episodes, EpisodeSpec, Taken, Touch, episodes_of
 from tactile_envs.episodes.policies import Policy
-from tactile_toolkit import generation, read, rows, store, touch
+from tactile_sim.sets.data_cards import touches_sheet
+from tactile_toolkit import cards, generation, places, read, rows, store, touch, wording
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import Facts
 from tactile_toolkit.value_types import (
     AnyArray,
     Bool,
@@ -26,6 +35,10 @@ from tactile_toolkit.value_types import (
     JsonObject,
     UInt8,
 )
+
+if TYPE_CHECKING:
+    from tactile_envs.config import Action, Observation
+    from tactile_envs.environment import TactileVectorEnv
 
 _XY, _XYZ, _XYZW = (read.vectors_type(pa.float64(), size) for size in (2, 3, 4))
 _QUALITY = 95
@@ -318,3 +331,190 @@ def record(
         tactile_envs.record(spec, "random", "episodes")
     """
     return EpisodeGenerator.of(spec, policy, image_format).generate(out, **run)
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Result of a replay: the episodes that were played, and the first difference in words, or None."""
+
+    episodes: int
+    touches: int
+    difference: str | None
+
+
+class _Recorded:
+    """The policy that repeats the actions of some recorded episodes; the others of a group stay still."""
+
+    def __init__(self, rounds: Mapping[int, realtouch.TouchSingleRound]) -> None:
+        self._done = {
+            index: (held.extra["action"], held.extra["prediction"], held.touch_count - 1)
+            for index, held in rounds.items()
+        }
+
+    def begin(self, env: TactileVectorEnv, seed: int) -> None:
+        """Begin with the first touch."""
+        self._parts = env.action_space["action"].spaces
+        self._still = np.zeros(env.prediction_space.shape, np.float32)
+        self._touch = 0
+
+    def __call__(self, observation: Observation) -> Action:
+        """Return what was done after this touch."""
+        parts = {name: np.zeros(part.shape, np.float32) for name, part in self._parts.items()}
+        predictions = self._still.copy()
+        for index, (actions, recorded, steps) in self._done.items():
+            if self._touch >= steps:
+                continue
+            predictions[index] = recorded[self._touch]
+            first = 0
+            for values in parts.values():
+                end = first + values[index].size
+                values[index] = actions[self._touch, first:end].reshape(values[index].shape)
+                first = end
+        self._touch += 1
+        return {"action": parts, "prediction": predictions}
+
+
+def replay(
+    name: places.Name | places.Place,
+    *,
+    assets: str | PathLike[str] | None = None,
+    touches: str | PathLike[str] | None = None,
+    weights: str | PathLike[str] | None = None,
+    limit: int | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Replay:
+    """Play the actions of recorded episodes again, and compare images and rewards bit for bit.
+
+    Parameters
+    ----------
+    name : str, path-like or Place
+        Data set that :func:`record` made.
+    assets, touches, weights : path or str, optional
+        Where the objects and weights are, as for :func:`tactile_envs.make_vector`.
+    limit : int, optional
+        Number of episodes, from the first one on; all by default.
+    on_progress : callable
+        Called with the number of compared episodes and that of all.
+
+    Raises
+    ------
+    InputError
+        The data set was not recorded, or the objects are not those of the recording.
+    IntegrityError
+        The data set is damaged.
+    """
+    place = places.open_place(name)
+    generator = _generator_of(place, assets=assets, touches=touches, weights=weights)
+    split = generator.form.split
+    rounds = realtouch.load(place, split=split)
+    assert isinstance(rounds, realtouch.TouchSingleDataset), "an episode has an image for each touch"
+    total = min(len(rounds), limit or len(rounds))
+    count = 0
+    for first in range(0, total, generator.spec.num_envs):
+        numbers = range(first, min(first + generator.spec.num_envs, total))
+        recorded = {number - first: rounds[number] for number in numbers}
+        again = replace(generator, policy=_Recorded(recorded))
+        for number, made in zip(numbers, again.make(split, numbers), strict=True):
+            difference = _difference(recorded[number - first], made)
+            count += len(made.images)
+            if difference is not None:
+                return Replay(number + 1, count, f"episode {made.id}: {difference}")
+        on_progress(numbers.stop, total)
+    return Replay(total, count, None)
+
+
+def _generator_of(place: places.Place, **folders: Any) -> EpisodeGenerator:
+    """Return the generator of recorded episodes, for a policy that does not matter; raises InputError.
+
+    ``folders`` are those of :func:`replay`.
+    """
+    manifest = place.manifest
+    if manifest is None or manifest.spec.get("operation") != "record":
+        raise InputError(
+            f"{place.name!r} was not made by `tactile-envs record`; expected recorded episodes",
+            next="name the folder of a recording, not a copy of some of its rows",
+        )
+    options = manifest.spec["options"]
+    stated = {name: options[name] for name in ("env_id", "episodes", "num_envs", "seed", "settings")}
+    spec = EpisodeSpec(**stated, **folders)
+    generator = EpisodeGenerator.of(spec, "constant", options["image_format"])
+    for name, recorded_value, value in (
+        ("assets", manifest.spec["source"].get(generator.form.split), generator.form.files),
+        ("weights", options["weights"], spec.weights_sha256()),
+    ):
+        if recorded_value != value:
+            raise InputError(
+                f"differs from what {place.name!r} was recorded with; other {name} give other images",
+                next=f"give the {name} of the recording",
+                field=name,
+            )
+    return generator
+
+
+def _difference(stored: realtouch.TouchSingleRound, made: EpisodeRound) -> str | None:
+    """Return the first difference between an episode and its repetition in words; None without any."""
+    if stored.touch_count != len(made.images):
+        return f"{stored.touch_count} touches were recorded, {len(made.images)} were made"
+    rewards = stored.extra["reward"]
+    for number, (image, _) in enumerate(made.images):
+        if bytes(stored.sensor_image.encoded(number)) != image:
+            return f"touch {number} has another image"
+        if not np.array_equal(rewards[number], made.reward[number], equal_nan=True):
+            return (
+                f"touch {number} has the reward {made.reward[number]:.6g}; {rewards[number]:.6g} was recorded"
+            )
+    return None
+
+
+def _figures(manifest: store.Manifest) -> dict[str, list[float]]:
+    """Return the touches, and the mean of the summed rewards of an episode, of each split."""
+    table, counts = manifest.split_table(), manifest.statistics()
+    return {
+        "touches": [counts[split]["touches"] for split in table],
+        "mean return": [counts[split]["reward"] / max(held["rows"], 1) for split, held in table.items()],
+    }
+
+
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
+    """Write ``README.md`` of a folder of episodes and its picture; IntegrityError for a damaged shard."""
+    options: JsonObject = manifest.spec["options"]
+    figures = _figures(manifest)
+    parts = ", then ".join(f"`{name}` ({count})" for name, count in options["action"].items())
+    policy = options["policy"]
+    digest = policy["sha256"] or "not known, as it cannot be pickled"
+    cards.Card(
+        template=KIND.card_template,
+        title=f"Episodes of {options['env_id']}",
+        columns=EpisodeRound.meanings(),
+        picture=("touches.png", "The first touches of the first episodes"),
+        drawn=touches_sheet,
+        licence="mit",
+        tags=["tactile", "active-perception", "reinforcement-learning", "offline-rl", "synthetic"],
+        tasks={"task_categories": ["robotics", "reinforcement-learning"]},
+        figures={
+            "touches": [f"{count:,}" for count in figures["touches"]],
+            "mean return": [f"{mean:.3f}" for mean in figures["mean return"]],
+        },
+        made=[
+            ("environment", f"`{options['env_id']}`"),
+            ("policy", f"{wording.markdown_code(policy['name'])}, SHA-256 of its state: {digest}"),
+            ("seed", str(options["seed"])),
+            ("action", f"the values of {parts}"),
+        ],
+        limits=["What the environment simplifies holds here, too."],
+        values={
+            "env_id": options["env_id"],
+            "touches": f"{sum(figures['touches']):,}",
+            "num_envs": str(options["num_envs"]),
+        },
+    ).write(folder, manifest, KIND)
+
+
+def facts(_folder: store.DataFolder, manifest: store.Manifest) -> Facts:
+    """Return the touches and the mean return of each split; reads no row."""
+    figures = _figures(manifest)
+    rows = [
+        (split, f"{touches:,}", f"{mean:.3f}")
+        for split, touches, mean in zip(manifest.splits, *figures.values(), strict=True)
+    ]
+    return Facts(header=("split", "touches", "mean return"), rows=tuple(rows), document={"figures": figures})

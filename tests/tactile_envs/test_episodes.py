@@ -24,7 +24,7 @@ from env_assets.mesh_view import PlannedView
 from tactile_envs import tasks
 from tactile_envs.config import Action, Observation
 from tactile_envs.entry_points import make_vector
-from tactile_envs.episodes import evaluation, policies, recording, replays, reports, touch_maps
+from tactile_envs.episodes import evaluation, policies, recording, touch_maps
 from tactile_envs.episodes.playing import EpisodeSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tests.cli.test_cards_cli import blocks, run_block
@@ -143,14 +143,14 @@ def test_bytes_do_not_depend_on_workers_parts_or_interruptions(tmp_path, assets)
 
 def test_a_replay_gives_the_same_or_names_the_first_difference(tmp_path, assets, monkeypatch):
     _record(tmp_path / "set", assets)
-    assert replays.replay(tmp_path / "set", assets=assets) == replays.Replay(7, 7 * 17, None)
-    assert replays.replay(tmp_path / "set", assets=assets, limit=3).episodes == 3
+    assert recording.replay(tmp_path / "set", assets=assets) == recording.Replay(7, 7 * 17, None)
+    assert recording.replay(tmp_path / "set", assets=assets, limit=3).episodes == 3
     monkeypatch.setattr(recording, "_QUALITY", 50)
-    changed = replays.replay(tmp_path / "set", assets=assets)
+    changed = recording.replay(tmp_path / "set", assets=assets)
     assert changed.difference == "episode test-0: touch 0 has another image"
     monkeypatch.undo()
     monkeypatch.setattr("tactile_envs.motion.Motion.aim", lambda *_: np.zeros(2, np.float32))
-    moved = replays.replay(tmp_path / "set", assets=assets)
+    moved = recording.replay(tmp_path / "set", assets=assets)
     assert moved.difference is not None
     assert moved.difference.startswith("episode test-0: touch ")
 
@@ -158,13 +158,13 @@ def test_a_replay_gives_the_same_or_names_the_first_difference(tmp_path, assets,
 def test_a_replay_refuses_other_objects_and_other_sets(tmp_path, assets):
     recording.record(EpisodeSpec(ID, 2, assets=assets), "constant", tmp_path / "set")
     with pytest.raises(InputError, match="was not made by"):
-        replays.replay(Path(assets) / "mnist3d", assets=assets)
+        recording.replay(Path(assets) / "mnist3d", assets=assets)
     for label, height_mm in enumerate((8.0, 10.0)):
         path = tmp_path / "others" / str(label) / "box.stl"
         path.parent.mkdir(parents=True)
         trimesh.creation.box((20.0, 12.0, height_mm)).export(path)
     with pytest.raises(InputError, match="assets differs from what"):
-        replays.replay(tmp_path / "set", assets=tmp_path / "others")
+        recording.replay(tmp_path / "set", assets=tmp_path / "others")
 
 
 def test_episodes_of_recorded_touches_may_end_early(tmp_path, assets):
@@ -179,7 +179,7 @@ def test_episodes_of_recorded_touches_may_end_early(tmp_path, assets):
     for held in rounds:
         assert np.isnan(held.extra["reward"][-1])
         assert np.isfinite(held.extra["reward"][:-1]).all()
-    assert replays.replay(tmp_path / "set", assets=assets).difference is None
+    assert recording.replay(tmp_path / "set", assets=assets).difference is None
     report = evaluation.evaluate(spec, "oracle", seeds=2)
     assert report.metrics["accuracy"].final.mean == 1.0
     assert set(report.metrics["accuracy"].by_step) == {1.0}
@@ -187,14 +187,14 @@ def test_episodes_of_recorded_touches_may_end_early(tmp_path, assets):
     assert "in_contact" not in rounds[0].extra
 
 
-def _report(policy: str, assets: Path, **options: Any) -> reports.Report:
+def _report(policy: str, assets: Path, **options: Any) -> evaluation.Report:
     return evaluation.evaluate(EpisodeSpec(ID, 48, 16, assets=assets), policy, **{"seeds": 2, **options})
 
 
 def test_known_policies_give_known_figures(tmp_path, assets):
     accuracy = _report("oracle", assets).metrics["accuracy"]
-    assert accuracy == reports.Metric(
-        reports.Summary(1.0, 1.0, 1.0), reports.Summary(1.0, 1.0, 1.0), [1.0] * 16
+    assert accuracy == evaluation.Metric(
+        evaluation.Summary(1.0, 1.0, 1.0), evaluation.Summary(1.0, 1.0, 1.0), [1.0] * 16
     )
     # The constant policy names the first class, whose share is that of the recorded answers.
     share = []
@@ -254,18 +254,18 @@ def test_reports_are_the_same_from_any_workers_and_are_compared_only_if_alike(tm
     assert (one.metrics, one.protocol, one.policy) == (two.metrics, two.protocol, two.policy)
     pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
     one.write(tmp_path / "one")
-    assert reports.Report.read(tmp_path / "one") == one
+    assert evaluation.Report.read(tmp_path / "one") == one
     assert "random in TactileMNIST-Depth-test-v0" in (tmp_path / "one" / "report.md").read_text()
     with pytest.raises(InputError, match="exists"):
         one.write(tmp_path / "one")
-    table = reports.compare({"a": one, "b": two})
+    table = evaluation.compare({"a": one, "b": two})
     kinds = [(name, kind) for name in one.metrics for kind in ("average", "final")]
     assert [row[:2] for row in table] == [*kinds, ("return", "sum")]
     other = _report("random", assets, seeds=1)
     with pytest.raises(InputError, match="seeds is 2 and 1"):
-        reports.compare({"a": one, "c": other})
+        evaluation.compare({"a": one, "c": other})
     with pytest.raises(InputError, match="no report"):
-        reports.Report.read(tmp_path)
+        evaluation.Report.read(tmp_path)
 
 
 def test_an_evaluation_without_matplotlib_ends_before_it_begins(tmp_path, monkeypatch, capsys):
@@ -302,17 +302,17 @@ def test_what_is_no_report_is_refused(kind, tmp_path):
     if kind == "pipe" and not hasattr(os, "mkfifo"):
         pytest.skip("this system has no named pipes")
     pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
-    summary = reports.Summary(0.5, 0.4, 0.6)
-    metrics = {"accuracy": reports.Metric(summary, summary, [0.5])}
+    summary = evaluation.Summary(0.5, 0.4, 0.6)
+    metrics = {"accuracy": evaluation.Metric(summary, summary, [0.5])}
     protocol = {"env_id": ID, "settings": {}, "episodes": 1, "seeds": 1, "objects": [], "split": "test"}
-    report = reports.Report(protocol, {"name": "mine", "sha256": None}, summary, metrics, {"versions": {}})
+    report = evaluation.Report(protocol, {"name": "mine", "sha256": None}, summary, metrics, {"versions": {}})
     report.write(tmp_path)
-    assert reports.Report.read(tmp_path) == report
+    assert evaluation.Report.read(tmp_path) == report
     _damage(kind, tmp_path / "report.json")
     with pytest.raises(InputError, match=r"is no report: .*next: name a folder that `tactile-envs evaluate`"):
-        reports.Report.read(tmp_path)
+        evaluation.Report.read(tmp_path)
     with pytest.raises(InputError, match=r"metrics is .* and "):
-        reports.compare({"a": report, "b": replace(report, metrics={})})
+        evaluation.compare({"a": report, "b": replace(report, metrics={})})
 
 
 def test_objects_are_described_alike_while_they_are_made(assets):
