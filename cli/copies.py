@@ -291,7 +291,8 @@ def _write_rows(
         sink.line(f"would write {with_count(rows, nouns)} to {out}; nothing was written")
         return
     make = partial(store.build, folder, plan, write_card=kind.write_card)
-    runs.make_with_progress(sink, "writing", kind, make, run_options, out, nouns)
+    if runs.make_with_progress(sink, "writing", kind, make, run_options, out, nouns) and plan.extra_dirs:
+        sink.line(f"other programs open {', '.join(f'{out}/{name}' for name in plan.extra_dirs)}")
 
 
 def card(

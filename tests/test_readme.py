@@ -54,9 +54,9 @@ NOT_RUN = ("docs/operators.md", "docs/install.md")
 """Pages whose code needs clusters, or installs."""
 
 NEEDED = {
-    "dev": "grain",
     "envs": "ap_gym",
     "libraries": "torchrl",
+    "loaders": "grain",
     "oracle": "tactile_mnist",
     "simulators": "mujoco",
     "torch": "torchdata",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _MAX_THREADS = 4
 _MAX_TILES = 32  # touches that a notebook shows of a round
 
+_TENSORS = "realtouch.touch_tensors.TouchTensors"
 INDEX = "touch_index"
 """Column of the number of a touch in its round, in tables of touches."""
 
@@ -38,6 +39,7 @@ class TouchRound(pictures.Drawn, read.Record):
     """
 
     __slots__ = ()
+    TENSORS = _TENSORS
     row: stored_round.StoredRound
 
     @property
@@ -301,7 +303,7 @@ def touch_id(round_id: str, touch_index: int) -> str:
     return f"{round_id}_{touch_index:03d}"
 
 
-class Touch(pictures.Drawn):
+class Touch(pictures.Drawn, read.FieldAccess):
     """One touch of a round; frozen, fields are read on access.
 
     Attributes
@@ -318,6 +320,7 @@ class Touch(pictures.Drawn):
     """
 
     __slots__ = ("_index_in_row", "round", "touch_index")
+    TENSORS = _TENSORS
     round: TouchRound
     touch_index: int
     _index_in_row: int

@@ -512,10 +512,13 @@ def named_on_hub(name: str, revision: str | None) -> HubName:
     repo_id = known.repo_id if known is not None else name
     named = hub.hub_name(repo_id, revision)
     if named is None:
-        published = [entry.name for kind in kinds() for entry in kind.published]
+        near = [entry.name for kind in kinds() for entry in kind.published]
+        path = store.local_path(name)
+        with suppress(OSError):
+            near += map(str, path.parent.iterdir() if path else ())
         raise errors.InputError(
             f"{wording.shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, "
-            f"a repository of the Hub (USER/NAME) or a published set{wording.did_you_mean(name, published)}",
+            f"a repository of the Hub (USER/NAME) or a published set{wording.did_you_mean(name, near)}",
             next="check the name (`tactile list` lists the published sets), or make a data set",
         )
     return named

@@ -1,6 +1,7 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .record import (
+    FieldAccess as FieldAccess,
     flat_schema as flat_schema,
     NestedColumn as NestedColumn,
     null_fields as null_fields,

@@ -17,6 +17,7 @@ import pyarrow as pa
 from tactile_toolkit import checked_fields, errors, wording
 from tactile_toolkit.read import order, record, schemas, shard, sharded_table
 from tactile_toolkit.read.record import Record, Row
+from tactile_toolkit.read.sharded_table import explain_batches
 from tactile_toolkit.value_types import AnyArray, Int64
 
 if TYPE_CHECKING:
@@ -215,7 +216,12 @@ class RecordDataset(Sequence[T], Generic[T]):
         try:
             values = self.table.column(name)
         except KeyError as error:
-            raise errors.InputError(f"no column {name!r} in this data set") from error
+            known = self.plain_columns
+            raise errors.InputError(
+                f"no column {name!r} in this data set{wording.did_you_mean(name, known)}; it has the columns "
+                f"{', '.join(self.column_names)}",
+                next="name one of these",
+            ) from error
         rows = self._rows
         if isinstance(rows, range):
             # A range down to row 0 stops at -1, which a slice takes for the last row.
@@ -368,7 +374,17 @@ class RecordDataset(Sequence[T], Generic[T]):
             return self._item(index)
         if _picks_several(index):
             return self._chosen(index)
+        if isinstance(index, str):
+            step = "name one of the columns with .column(NAME): " + ", ".join(self.plain_columns)
+            if index in self.plain_columns:
+                step = f"write .column({index!r})"
+            raise TypeError(f"{self.things} are chosen by number, and {index!r} is a text; next: {step}")
         return self._item(operator.index(index))
+
+    def __getitems__(self, indices: Sequence[int]) -> list[T]:
+        """Return the items of a batch; a ``DataLoader`` of torch calls it."""
+        explain_batches()
+        return [self[index] for index in indices]
 
     def _chosen(self, index: object) -> Self:
         """Return a view of the items that a slice, ints or a mask select."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +13,7 @@ import pyarrow as pa
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.schemas import column_names, list_depth
 from tactile_toolkit.value_types import AnyArray, Bool, Int64, JsonDict
+from tactile_toolkit.wording import did_you_mean
 
 T = TypeVar("T")
 
@@ -392,7 +393,38 @@ def _row_from_ipc(row_class: type[Row], content: bytes, path: str, number: int) 
     return row_class(RowGroup(pa.ipc.open_stream(content).read_all(), path, number), 0)
 
 
-class Record:
+class FieldAccess:
+    """Base class of records that answers habits of dictionaries, such as ``touch["image"]``.
+
+    Fields are attributes: each is read when it is accessed, which a dictionary of all would not allow.
+    """
+
+    __slots__ = ()
+    TENSORS: ClassVar[str] = "tactile_toolkit.mesh.SolidTensors"
+    """Class that makes tensors of such records, for batches."""
+
+    def __getitem__(self, name: object) -> NoReturn:
+        """Raise TypeError, which names the attribute."""
+        raise TypeError(self._answer(name))
+
+    if not TYPE_CHECKING:  # else every attribute would pass for one that is there
+
+        def __getattr__(self, name: str) -> NoReturn:
+            if name.startswith("_"):
+                raise AttributeError(name)
+            raise AttributeError(self._answer(name))
+
+    def _answer(self, name: object) -> str:
+        fields = [known for known in dir(type(self)) if known.islower() and not known.startswith("_")]
+        what = f"a {type(self).__name__} is not a dictionary, its fields are attributes"
+        if name in fields:
+            return f"{what}; next: write .{name}"
+        if "extra" in fields and name in self.extra:  # type: ignore[attr-defined]
+            return f"{what}; next: write .extra[{name!r}]"
+        return f"{what}: {', '.join(fields)}{did_you_mean(str(name), fields)}"
+
+
+class Record(FieldAccess):
     """Base class of typed records of one row: immutable, lazy, picklable.
 
     Attributes

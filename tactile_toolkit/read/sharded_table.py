@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, chain, islice
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, Protocol, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import run, wording
 from tactile_toolkit.read import schemas
-from tactile_toolkit.read.record import RowGroup, numpy_values
+from tactile_toolkit.read.record import FieldAccess, RowGroup, numpy_values
 from tactile_toolkit.read.shard import Shard
 from tactile_toolkit.value_types import AnyArray, Int64
 
@@ -203,6 +203,20 @@ def loader_worker() -> Any:
     return torch_data.get_worker_info()
 
 
+def explain_batches() -> None:
+    """Make torch name the class that makes batches where records are given to its ``default_collate``."""
+    collate = sys.modules.get("torch.utils.data._utils.collate")
+    if collate is not None:
+        collate.default_collate_fn_map.setdefault(FieldAccess, _refuse_records)
+
+
+def _refuse_records(records: Sequence[FieldAccess], **_: object) -> NoReturn:
+    raise TypeError(
+        f"torch cannot make a batch of {type(records[0]).__name__} records; next: give the DataLoader "
+        f"{records[0].TENSORS}(data), or a collate_fn that makes tensors of the fields"
+    )
+
+
 class RowStream(Generic[S]):
     """Base class of streams. Each pass reads from the beginning, a bounded block of rows at a time.
 
@@ -225,6 +239,7 @@ class RowStream(Generic[S]):
             # Loaders call `isinstance`, which reads this attribute. The class is registered here, because
             # torch takes seconds to import and may be imported after the stream was created.
             if "torch.utils.data" in sys.modules:
+                explain_batches()
                 sys.modules["torch.utils.data"].IterableDataset.register(type(self))
             return type(self)
 

@@ -6,10 +6,12 @@ bar on a terminal, and a line every few seconds elsewhere.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,6 +32,7 @@ _PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 # Without a terminal, each line is kept: a job of one day writes about 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0
+_SILENT_S = 60.0  # a step may take minutes, and a log without a line looks like a hang
 _BAR_INTERVAL_S = 0.1
 _BAR = 24
 
@@ -233,6 +236,8 @@ def working_folder() -> Path:
 def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Callable[[int, int], None]]:
     """Show the progress of some work, and nothing if it ends within ``quiet_s`` seconds.
 
+    A line a minute says that it is at work while no item is finished.
+
     Yields
     ------
     callable
@@ -243,6 +248,18 @@ def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Calla
     is_bar = sys.stderr.isatty()
     interval_s = _BAR_INTERVAL_S if is_bar else _LINE_INTERVAL_S
 
+    written_s = start_s
+
+    def show(state: str, bar: str = "") -> None:
+        nonlocal written_s
+        written_s = time.monotonic()
+        if is_bar:
+            columns = shutil.get_terminal_size().columns
+            sys.stderr.write(f"\r{f'{bar}{state}'[: columns - 1]}\x1b[K")
+        else:
+            sys.stderr.write(f"{state}\n")
+        sys.stderr.flush()
+
     def update(done: int, total: int) -> None:
         nonlocal last_s
         now_s = time.monotonic()
@@ -252,17 +269,22 @@ def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Calla
             return
         last_s = now_s
         state = wording.printable(f"{what}: {_state(done, total, unit, now_s - start_s)}")
-        if is_bar:
-            bar = f"{'━' * (_BAR * done // total):<{_BAR}} {state}"
-            sys.stderr.write(f"\r{bar[: shutil.get_terminal_size().columns - 1]}\x1b[K")
-        else:
-            sys.stderr.write(f"{state}\n")
-        sys.stderr.flush()
+        show(state, f"{'━' * (_BAR * done // total):<{_BAR}} ")
 
+    def report_life() -> None:
+        while not ended.wait(_SILENT_S):
+            if time.monotonic() - written_s >= _SILENT_S:
+                show(f"{what}: at work for {wording.duration_text(time.monotonic() - start_s)}")
+
+    ended = threading.Event()
+    reporter = threading.Thread(target=report_life, daemon=True)
+    if quiet_s < math.inf:
+        reporter.start()
     try:
         yield update
     finally:
-        if is_bar and last_s is not None:
+        ended.set()
+        if is_bar and written_s > start_s:
             sys.stderr.write("\n")
 
 

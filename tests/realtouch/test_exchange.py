@@ -21,6 +21,7 @@ from realtouch.formats import exports, lerobot_export
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.tactile_toolkit.toy import folder_bytes
@@ -351,3 +352,9 @@ def test_lerobot_gets_the_shape_of_every_column(source: Path, tmp_path: Path) ->
         assert features.pop("in_contact") == {"dtype": "bool", "shape": [1], "names": None}
     for name, feature in features.items():
         assert feature == {"dtype": "int64", "shape": [1], "names": None}, name
+
+
+def test_the_command_says_which_folder_other_programs_open(single_folder, tmp_path, capsys):
+    words = ("--split", "train", "--format", "lerobot", "--out", tmp_path / "robots", "-w", 1)
+    assert call("tactile", "export", single_folder, *words) == 0
+    assert f"other programs open {tmp_path}/robots/lerobot" in capsys.readouterr().out

@@ -176,6 +176,20 @@ def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> Non
     np.testing.assert_array_equal(data[7][0].numpy().transpose(1, 2, 0), touches[7].image)
 
 
+def test_a_plain_loader_says_which_class_makes_tensors(single_folder: Path) -> None:
+    rounds = realtouch.load(single_folder, "train")
+    stream = realtouch.load(single_folder, "train", streaming=True)
+    for data in (rounds, rounds.touches(), stream):
+        with pytest.raises(
+            TypeError, match=r"give the DataLoader realtouch\.touch_tensors\.TouchTensors\(data\)"
+        ):
+            next(iter(torch.utils.data.DataLoader(data, batch_size=2)))
+    of_labels = torch.utils.data.DataLoader(
+        rounds, batch_size=2, collate_fn=lambda records: [record.label for record in records]
+    )
+    assert next(iter(of_labels)) == rounds.labels[:2].tolist()
+
+
 def identity(touch: realtouch.Touch) -> tuple[int, int]:
     return touch.label, touch.touch_index
 

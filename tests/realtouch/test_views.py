@@ -101,3 +101,32 @@ def test_a_round_without_touches_is_named_among_the_pictures_of_a_set(single_row
     shown = realtouch.load(tmp_path)._repr_html_()
     assert shown.count("<img") == 2
     assert "the round has no touches" in shown
+
+
+@pytest.mark.parametrize(
+    ("use", "answer"),
+    [
+        (lambda rounds, touch: touch["image"], "fields are attributes; next: write .image"),
+        (lambda rounds, touch: rounds[0]["label"], "fields are attributes; next: write .label"),
+        (lambda rounds, touch: touch["imag"], "touch_index; did you mean 'image'?"),
+        (lambda rounds, touch: touch.keys(), "attributes: caption, clip, "),
+        (lambda rounds, touch: dict(touch), "attributes: caption, clip, "),
+        (lambda rounds, touch: rounds["label"], "next: write .column('label')"),
+        (lambda rounds, touch: rounds.touches()["image"], "name one of the columns with .column(NAME): id, "),
+        (
+            lambda rounds, touch: rounds.column("labl"),
+            "did you mean 'label'?; it has the columns id, label, ",
+        ),
+        (lambda rounds, touch: realtouch.load("./touche"), "did you mean 'touches'?"),
+    ],
+)
+def test_habits_of_dictionaries_and_wrong_names_are_answered(
+    use, answer, single_folder, monkeypatch, tmp_path
+):
+    rounds = realtouch.load(single_folder, "train")
+    (tmp_path / "touches").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((TypeError, AttributeError, InputError)) as raised:
+        use(rounds, rounds.touches()[0])
+    assert answer in str(raised.value)
+    assert not hasattr(rounds[0], "_no_such_field")

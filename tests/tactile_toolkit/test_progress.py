@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from queue import Queue
+from unittest.mock import Mock
+
 import pytest
 
 from tactile_toolkit.run.this_process import shown_progress
@@ -23,3 +27,15 @@ def test_lines_come_every_few_seconds_and_at_the_end(quiet_s, expected, capsys, 
             now_s[0] = at_s
             update(done, 9)
     assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()] == expected
+
+
+@pytest.mark.parametrize("quiet_s", [0.0, 60.0])
+def test_a_line_says_that_work_goes_on_while_no_item_is_finished(quiet_s, monkeypatch):
+    """Also where progress is not shown before some seconds."""
+    monkeypatch.setattr("tactile_toolkit.run.this_process._SILENT_S", 0.01)
+    written = Queue[str]()
+    monkeypatch.setattr("sys.stderr", Mock(isatty=lambda: False, write=written.put))
+    with shown_progress("calibrating", "steps", quiet_s):
+        assert written.get(timeout=60).startswith("calibrating: at work for ")
+    with shown_progress("nothing", "steps", math.inf):
+        assert "nothing" not in "".join(written.queue)

@@ -127,7 +127,7 @@ def test_index_out_of_range(dataset, wrong):
         ([99, 3], IndexError, "index 99 is out of bounds"),
         ([-19], IndexError, "index -19 is out of bounds"),
         (range(17, 20), IndexError, "index 18 is out of bounds"),
-        ("12", TypeError, "cannot be interpreted as an integer"),
+        ("12", TypeError, "are chosen by number, and '12' is a text"),
     ],
 )
 def test_bad_selection(dataset, wrong, error, words):
