@@ -60,7 +60,7 @@ def load(
 @application.command(app, "import")
 def import_touches(
     *,
-    source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
+    source: str = argument("SOURCE", "Folder or file of videos, images, episodes, arrays or ROS bags."),
     out: str = out_folder(),
     spec: touch_options.ImportSpec,
     columns: touch_options.ImportColumns,

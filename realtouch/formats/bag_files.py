@@ -24,6 +24,7 @@ from tactile_toolkit.columns import tables
 
 _MAX_MESSAGES = 1 << 23
 _MAX_CHUNK_BYTES = 1 << 27
+_MAX_EXPANSION = 200  # of the whole file, by all chunks
 _MAX_HEAD_BYTES = 1 << 20  # of the names in a record
 _LEAST_ROW_BYTES = 8  # of a database
 _UNPACKERS = {
@@ -94,6 +95,7 @@ class BagFile:
         self._size = self._stream.seek(0, 2)
         weakref.finalize(self, self._stream.close)
         self._chunks: list[_Chunk] = []
+        self._stated_bytes = 0
         self._unpacked: tuple[int, bytes] = (-1, b"")
 
     def messages(self) -> Iterator[Message]:
@@ -139,7 +141,10 @@ class BagFile:
             self.problems["what follows a record that is damaged or does not end"] += 1
 
     def _walk_chunk(self, number: int) -> Iterator[Message]:
+        self._stated_bytes += self._chunks[number].size
         try:
+            if self._stated_bytes > _MAX_EXPANSION * self._size + _MAX_CHUNK_BYTES:
+                raise errors.ItemError("chunk", f"a chunk beyond {_MAX_EXPANSION} times the size of the file")
             content = self._in_chunk(number)
         except errors.ItemError as error:
             self.problems[error.message] += 1

@@ -54,7 +54,7 @@ def import_touches(
     spec: touch_options.ImportSpec | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
-    """Make a data set of touches from videos, images, episodes or arrays; pictures are not changed.
+    """Make a data set of touches from videos, images, episodes, arrays or ROS bags; pictures are kept.
 
     Parameters
     ----------

@@ -319,6 +319,12 @@ def test_no_memory_is_allocated_for_what_a_file_states(tmp_path: Path) -> None:
     recordings, contents = images(file)
     assert contents == bags.pictures(5)
     assert "plain.mcap: a damaged chunk (1 time)" in recordings.left_out
+    packed = zstd.compress(bytes(1 << 26))
+    chunk = struct.pack("<QQQI", 0, 0, 1 << 26, 0) + struct.pack("<I4sQ", 4, b"zstd", len(packed)) + packed
+    file.write_bytes(content[:8] + 1000 * (struct.pack("<BQ", 6, len(chunk)) + chunk) + content[8:])
+    recordings, contents = images(file)
+    assert contents == bags.pictures(5)
+    assert "a chunk beyond 200 times the size of the file" in " ".join(recordings.left_out)
     file.write_bytes(content[:8] + struct.pack("<BQ", 3, 1 << 60) + content[8:])
     with pytest.raises(InputError, match="what follows a record that is damaged"):
         images(file)
