@@ -40,6 +40,7 @@ PAGES = (
     "docs/howto/own_task.md",
     "docs/howto/train_agent.md",
     "docs/howto/simulators.md",
+    "docs/howto/mujoco.md",
     "docs/howto/hub.md",
     "docs/paper.md",
     "docs/learned.md",
@@ -57,8 +58,8 @@ NEEDED = {
     "envs": "ap_gym",
     "libraries": "torchrl",
     "loaders": "grain",
+    "mujoco": "mujoco",
     "oracle": "tactile_mnist",
-    "simulators": "mujoco",
     "torch": "torchdata",
 }
 """A package of each extra that blocks name."""

@@ -25,6 +25,7 @@ _MAX_STEPS = 300
 # 3e-4, the force on a body at rest swings by a thousandth; at 1e-4, by a hundred-thousandth.
 # The first pass only predicts the coupling of the second one.
 _STEP_TOLERANCES = ((1e-3, 1e-3), (1e-4, 1e-4))  # of pressure and traction, in each pass
+_SLOW = 0.03  # share of the depth in a step
 _LEAST_MOTION = 2e-3  # share of the depth; at least this much in a step is a motion that goes on
 _SIMILAR = (0.7, 1.5)  # ratios of depths within which the last pressure is a good first guess
 _FAR_M = 1e6
@@ -114,7 +115,13 @@ class ContactProblem:
         self.lifted, self.bound = np.zeros((2, self.p.size), np.float32)
         self.slips = np.zeros(self.p.size, np.bool_)
         self.depth_m = self.worst_m = 0.0
-        self._last = (self.p, self.u, self.q, 0.0)  # loads before the last step, and the change in it
+        self._last = (
+            self.p,
+            self.u,
+            self.q,
+            self.lifted,
+            0.0,
+        )  # loads before the last step, and the change in it
 
     def solve(self) -> Solution:
         """Solve the press and the motion."""
@@ -138,14 +145,17 @@ class ContactProblem:
         below = _flat(below_m, _FAR_M)
         motion = _flat(motion_m, 0.0)
         risen = np.float32(depth_m - self._target) - (below - self._below)
-        change = float(max(np.abs(risen).max(), np.abs(motion - self._motion).max()))
+        touches = self.p > 0.0
+        change = float(np.abs([risen, *(motion - self._motion)]).max(where=touches, initial=0.0))
         is_similar = _SIMILAR[0] <= depth_m / self._target <= _SIMILAR[1]
         self._below = below
         self._motion = motion
         self._target = depth_m
         self._predict(change, is_similar)
         iterations = 0
-        for press_tolerance, shear_tolerance in _STEP_TOLERANCES:
+        # The coupling of a slow motion is known well enough from the last steps.
+        is_slow = is_similar and change < _SLOW * depth_m
+        for press_tolerance, shear_tolerance in _STEP_TOLERANCES[is_slow:]:
             iterations += self.press(press_tolerance)
             self.push_aside()
             if self._friction > 0.0:
@@ -154,12 +164,13 @@ class ContactProblem:
 
     def _predict(self, change: float, is_similar: bool) -> None:
         """Let the loads change as in the last step, in proportion to the motion; not at all at rest."""
-        last_p, last_u, last_q, last_change = self._last
-        self._last = (self.p.copy(), self.u, self.q.copy(), change)
+        last_p, last_u, last_q, last_lifted, last_change = self._last
+        self._last = (self.p.copy(), self.u, self.q.copy(), self.lifted, change)
         # Nearly at rest, it would repeat the errors that are within the tolerance.
         moves = min(change, last_change) > _LEAST_MOTION * self._target
         share = np.float32(min(change / last_change, 1.0) if moves else 0.0)
         self.q += share * (self.q - last_q)
+        self.lifted = self.lifted + share * (self.lifted - last_lifted)
         if is_similar:
             self.u = self.u + share * (self.u - last_u)
             self.p = np.maximum(self.p + share * (self.p - last_p), np.float32(0.0))

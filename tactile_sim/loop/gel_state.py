@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _SOLVED_IN_LOOP_M = 0.00048  # forces differ by 0.2 to 0.4 % from those of blocks of half the width
 _SIDE_STIFFNESS = 0.7  # of a pixel along the surface, next to that across it
 _LEAST_M = 1e-9
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3))  # point @ _CROSS @ rotation is the shift of the point
 _DEEP = 1.05 * MAX_SHARE  # a stop at the limit gives way a little
 _SUDDEN = 0.05  # thicknesses of the gel by which a body may be inside of it at once
 
@@ -253,21 +254,19 @@ class GelState:
         """
         fields = self._solution.fields
         rows, columns = np.nonzero((owners == body) & (fields[0] > 0.0))
-        points_m = np.stack(
-            [self._grid.columns_m[columns], self._grid.rows_m[rows], heights_m[rows, columns]]
-        )
-        loads_n = fields[:, rows, columns][[1, 2, 0]] * (self._block_m[0] * self._block_m[1])
-        self.wrenches[body] = [*loads_n.sum(axis=1), *np.cross(points_m, loads_n, axis=0).sum(axis=1)]
-        # Motion of the points by shift and rotation.
+        grid = self._grid
+        points_m = np.stack([grid.columns_m[columns], grid.rows_m[rows], heights_m[rows, columns]], axis=1)
+        # Motion of the points (n, 3) by shift and rotation (6,); its transpose sums their forces.
         motion = np.zeros((rows.size, 3, 6))
         motion[:, :, :3] = np.eye(3)
-        motion[:, :, 3:] = -np.cross(np.eye(3), points_m.T[:, None, :])
-        deepest_m = max(float(points_m[2].max()), _LEAST_M)
-        spring = 1.5 * self.wrenches[body, 2] / (deepest_m * rows.size)
-        springs = np.full((rows.size, 3), spring)
+        motion[:, :, 3:] = np.tensordot(points_m, _CROSS, 1)
+        matrix = motion.reshape(-1, 6)
+        loads_n = fields[:, rows, columns][[1, 2, 0]] * (self._block_m[0] * self._block_m[1])
+        self.wrenches[body] = loads_n.T.ravel() @ matrix
+        deepest_m = max(float(points_m[:, 2].max()), _LEAST_M)
+        springs = np.full((rows.size, 3), 1.5 * self.wrenches[body, 2] / (deepest_m * rows.size))
         springs[:, :2] *= _SIDE_STIFFNESS * fields[7, rows, columns, None]
-        weighted = springs[:, :, None] * motion
-        self.stiffness[body] = weighted.reshape(-1, 6).T @ motion.reshape(-1, 6)
+        self.stiffness[body] = matrix.T @ (springs.reshape(-1, 1) * matrix)
 
     def _warn(
         self,

@@ -1,0 +1,158 @@
+"""A gel in a moving world: how exact it is, and how fast.
+
+Usage: python benchmarks/loop.py      (extra mujoco)
+
+Prints the rows of the page "A gel in MuJoCo". Scenes are those of the tests. Times are processor time of one
+thread: a printed digit moves over the gel, with friction; each step gives forces and a depth map.
+"""
+
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import math
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import mujoco
+import numpy as np
+
+import tactile_sim
+from mnist3d.solid.algorithm import solidify
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_sim.mujoco import GelCallback, GelSensor
+from tests.tactile_sim import test_loop, test_mujoco_gels as scenes
+
+STEPS, REPEATS = 100, 7
+
+
+def heights_of_bounces(step_s: float, relaxation_s: float) -> list[float]:
+    """Return the heights to which a ball of 10 g rises that fell 5 mm, relative to the fall."""
+    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.013), step_s)
+    sensor = tactile_sim.center_view(64, 64)
+    gel = GelSensor(model, data, "gel", sensor, relaxation_s=relaxation_s)
+    mujoco.set_mjcb_control(GelCallback(gel))
+    heights_m = [0.0]
+    tops = []
+    for _ in range(round(0.4 / step_s)):
+        mujoco.mj_step(model, data)
+        heights_m.append(data.qpos[2] - 0.008)
+        if len(heights_m) > 3 and heights_m[-3] < heights_m[-2] > heights_m[-1] and heights_m[-2] > 0:
+            tops.append(heights_m[-2] / 0.005)
+    return tops
+
+
+def force_at_rest(step_s: float) -> tuple[float, float]:
+    """Return error and swing of the force of a ball of 10 g at rest, relative to its weight."""
+    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.0082), step_s)
+    gel = GelSensor(model, data, "gel", tactile_sim.center_view(64, 64))
+    mujoco.set_mjcb_control(GelCallback(gel))
+    forces_n = []
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+        forces_n.append(gel.wrench[2])
+    late = np.array(forces_n[-200:]) / (0.01 * scenes.GRAVITY) - 1.0
+    return float(abs(late.mean())), float(abs(late - late.mean()).max())
+
+
+def mindlin_errors() -> tuple[float, float]:
+    """Return the greatest errors with and without a history, relative to friction times force."""
+    curve = np.array(list(test_loop.load_cycle()))
+    full_n = test_loop.HalfSpace.friction * test_loop.HalfSpace().normal_n
+    without = [test_loop.HalfSpace().load_n(shift_m) for shift_m in curve[:, 0]]
+    return abs(curve[:, 1] - curve[:, 2]).max() / full_n, abs(np.array(without) - curve[:, 2]).max() / full_n
+
+
+def accelerated_cylinder(acceleration_m_s2: float) -> tuple[float, float]:
+    """Return slip, mm/s, and friction over force, of a cylinder that a gel drags for 30 ms.
+
+    Rolling takes a third of the mass times the acceleration: it slips from 8.8 m/s2.
+    """
+    friction = 0.3
+    model, data = scenes.simulation(
+        '<body name="hand" mocap="true"><site name="gel" euler="180 0 0"/></body>'
+        '<body pos="0 0 .00465" euler="90 0 0"><freejoint/>'
+        '<geom name="roll" type="cylinder" size=".005 .006" mass=".05"/></body>',
+        0.001,
+    )
+    gel = GelSensor(model, data, "gel", tactile_sim.center_view(64, 64), tactile_sim.Gel(friction=friction))
+    mujoco.set_mjcb_control(GelCallback(gel))
+    for step in range(280):
+        time_s = max(step - 250, 0) * 0.001
+        data.mocap_pos[0, 0] = acceleration_m_s2 * time_s**2 / 2
+        mujoco.mj_step(model, data)
+    # Without slip, its surface moves with the gel: it rolls back at a third of the acceleration.
+    surface_m_s = data.qvel[0] + 0.005 * np.linalg.norm(data.qvel[3:])
+    slip_m_s = acceleration_m_s2 * 0.029 - surface_m_s
+    return 1e3 * slip_m_s, float(np.hypot(gel.wrench[0], gel.wrench[1]) / gel.wrench[2])
+
+
+def greatest_share() -> float:
+    """Return the greatest weight that two fingers hold, relative to twice friction times force."""
+    shares = np.arange(0.9, 1.06, 0.02)
+    return max(share for share in shares if scenes.grasp(share, 1.0)[0])
+
+
+def poses(digit_top_m: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield poses of a digit and of a gel that moves over it."""
+    for step in range(STEPS):
+        angle = 0.02 * step
+        yield (
+            tactile_sim.pose(
+                0.0005 * math.sin(angle), 0.0005 * math.cos(angle), turn_rad=0.02 * math.sin(angle)
+            ),
+            tactile_sim.pose(0.0, 0.0, digit_top_m - 0.0008 - 0.0003 * math.sin(0.7 * angle)),
+        )
+
+
+def steps_per_s(sensor: tactile_sim.Sensor, optics: str) -> float:
+    """Return how many steps with forces and an image a core does in a second."""
+    digit = tactile_sim.Pressable.of(solidify(SyntheticSource().image(1008).pixels))
+    moves = list(poses(digit.vertices_m[:, 2].max()))
+    state, camera = tactile_sim.GelState(sensor), tactile_sim.make_optics(optics)
+    best_s = math.inf
+    for _ in range(REPEATS):
+        state.reset()
+        start_s = time.process_time()
+        for object_pose, gel_pose in moves:
+            state.press([digit], object_pose, gel_pose)
+            if optics == "depth":
+                _ = state.depth_m
+            else:
+                camera.render(state.depth_m[None], sensor, sensor.size_px)
+        best_s = min(best_s, (time.process_time() - start_s) / STEPS)
+    return 1.0 / best_s
+
+
+def main() -> None:
+    """Measure and print."""
+    warnings.simplefilter("ignore", tactile_sim.GelWarning)
+    for name, sensor in (("64x64", tactile_sim.center_view(64, 64)), ("320x240", tactile_sim.full_view())):
+        for optics in ("depth", "taxim"):
+            print(f"{name}, {optics}: {steps_per_s(sensor, optics):.0f} steps/s")
+    for step_s in (0.002, 0.0005):
+        error, swing = force_at_rest(step_s)
+        print(f"ball at rest, {1e3 * step_s:g} ms: force off by {error:.1e}, swings by {swing:.1e}")
+        tops = ", ".join(f"{top:.3f}" for top in heights_of_bounces(step_s, 0.0))
+        print(f"bounces without relaxation, {1e3 * step_s:g} ms: {tops}")
+    history, none = mindlin_errors()
+    print(f"Cattaneo-Mindlin, there, back and there: off by {history:.2%}; without a history {none:.0%}")
+    for acceleration in (4.0, 7.0, 8.0, 9.5, 11.0):
+        slip_mm_s, ratio = accelerated_cylinder(acceleration)
+        print(
+            f"cylinder, {acceleration:g} m/s2: slips at {slip_mm_s:.1f} mm/s, friction {ratio:.3f} of 0.300"
+        )
+    print(f"two fingers hold {greatest_share():.2f} of twice friction times force")
+    mujoco.set_mjcb_control(None)
+
+
+if __name__ == "__main__":
+    main()
