@@ -173,21 +173,24 @@ class TouchFiles:
     )
 
 
+_FORMAT = choice(
+    None,
+    tuple(dict.fromkeys((*_MESH_FORMATS, *EXPORT_FORMATS))),
+    optional=True,
+    name="--format",
+    shown="stl for meshes, plates 3mf",
+    help="Meshes: files in mm (glb, mjcf, urdf, usd: in m), plates as 3mf or mjcf. Touches: png: exact "
+    "pixels, jpeg: the stored JPEGs, with an index; webdataset: tars; lerobot: LeRobotDataset v3.0; "
+    "oxt: Zarr of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; anytouch: list files. "
+    "flat: Parquet tables, a row for each mesh or touch. lerobot, oxt and replay hold one split.",
+)
+
+
 def export(
     *,
     name: str = options.NAME,
     source_options: AnySourceOptions,
-    file_format: str | None = choice(
-        None,
-        tuple(dict.fromkeys((*_MESH_FORMATS, *EXPORT_FORMATS))),
-        optional=True,
-        name="--format",
-        shown="stl for meshes, plates 3mf",
-        help="Meshes: files in mm (glb, mjcf, urdf, usd: in m), plates as 3mf or mjcf. Touches: png: exact "
-        "pixels, jpeg: the stored JPEGs, with an index; webdataset: tars; lerobot: LeRobotDataset v3.0; "
-        "oxt: Zarr of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; anytouch: list files. "
-        "flat: Parquet tables, a row for each mesh or touch. lerobot, oxt and replay hold one split.",
-    ),
+    file_format: str | None = _FORMAT,
     meshes: Annotated[options.UserOptions, options.OptionsOf(printing.ExportOptions)],
     chosen: catalog.RowFilter,
     touches: Annotated[options.UserOptions, options.OptionsOf(TouchFiles)],
@@ -216,11 +219,7 @@ def export(
         options.refuse(meshes, kind.nouns)
         contents.announce_fetching(sink, place, chosen.split)
         plan = _plan_export(
-            place,
-            out,
-            file_format,
-            touches.get("clip_frame"),
-            touches.get("difference"),
+            *(place, out, file_format, touches.get("clip_frame"), touches.get("difference")),
             catalog.RowFilter(**_filters(chosen)),
         )
         nouns = "touches" if file_format in ("png", "jpeg") else "rows"

@@ -186,19 +186,7 @@ class Card:
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec = f"```json\n{wording.printable_json(_shortened(self.spec or manifest.spec))}\n```"
-            reasons = manifest.skipped_reasons().items()
-            listed = ", ".join(f"{count:,} {wording.markdown_text(reason)}" for reason, count in reasons)
-            skipped = f"{listed}; `manifest.json` names each" if listed else "none"
-            by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
-            made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
-            values |= {
-                "spec": spec,
-                "made": f"{made}\n\n{spec}",
-                "skipped": skipped,
-                "version": manifest.toolkit_version,
-                "schema_version": str(manifest.schema_version),
-            }
+            values |= self._origin(manifest)
         if isinstance(self.drawn, type):
             content = _draw_solids(facts, self.drawn)
         else:
@@ -218,6 +206,22 @@ class Card:
         head, body = owner.with_owner(head, body, words, **terms)
         text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
         _write_changed(folder, store.CARD_FILE, text.encode())
+
+    def _origin(self, manifest: store.Manifest) -> dict[str, str]:
+        """Return what the card states about how the data set was made."""
+        spec = f"```json\n{wording.printable_json(_shortened(self.spec or manifest.spec))}\n```"
+        reasons = manifest.skipped_reasons().items()
+        listed = ", ".join(f"{count:,} {wording.markdown_text(reason)}" for reason, count in reasons)
+        skipped = f"{listed}; `manifest.json` names each" if listed else "none"
+        by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
+        made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
+        return {
+            "spec": spec,
+            "made": f"{made}\n\n{spec}",
+            "skipped": skipped,
+            "version": manifest.toolkit_version,
+            "schema_version": str(manifest.schema_version),
+        }
 
 
 def rewrite_card(
