@@ -100,11 +100,11 @@ class BagFile:
 
     def messages(self) -> Iterator[Message]:
         """Yield the messages in the order of the file, whatever their times."""
-        whole = (self._read_file, self._first, self._size)
+        whole = (self._read_file, self._first, self._size, -1)
         with suppress(*_DAMAGE):
             # Topics that are stated at the end, too: the chunk that states them first may be damaged.
             deque(self._records(*whole), maxlen=0)
-        for number, message in enumerate(self._walk(*whole, -1)):
+        for number, message in enumerate(self._walk(*whole)):
             if number == _MAX_MESSAGES:
                 self.problems[f"what follows after {_MAX_MESSAGES:,} messages"] += 1
                 return
@@ -118,8 +118,8 @@ class BagFile:
         size = size if most_bytes is None else min(size, most_bytes)
         return self._read_file(start, size) if chunk < 0 else self._in_chunk(chunk)[start : start + size]
 
-    def _records(self, read: Read, start: int, stop: int) -> Iterator[Message | _Chunk]:
-        """Yield messages and chunks, without the number of their chunk, and note channels.
+    def _records(self, read: Read, start: int, stop: int, chunk: int) -> Iterator[Message | _Chunk]:
+        """Yield the messages and chunks of the file, or of the chunk with a number, and note channels.
 
         Raises struct.error, LookupError or ValueError for a damaged record, or one that does not end.
         """
@@ -127,9 +127,9 @@ class BagFile:
 
     def _walk(self, read: Read, start: int, stop: int, chunk: int) -> Iterator[Message]:
         try:
-            for record in self._records(read, start, stop):
+            for record in self._records(read, start, stop, chunk):
                 if isinstance(record, Message):
-                    yield record._replace(location=(chunk, *record.location[1:]))
+                    yield record
                 elif chunk < 0:
                     available = self._size - record.start
                     if record.method in _PLAIN and available < record.packed_bytes:
@@ -208,7 +208,7 @@ class _Mcap(BagFile):
         super().__init__(folder, path)
         self._schemas: dict[int, str] = {}
 
-    def _records(self, read: Read, start: int, stop: int) -> Iterator[Message | _Chunk]:
+    def _records(self, read: Read, start: int, stop: int, chunk: int) -> Iterator[Message | _Chunk]:
         kind = 0
         while start < stop and kind != _MCAP_FOOTER:
             kind, size = struct.unpack("<BQ", read(start, 9))
@@ -217,7 +217,7 @@ class _Mcap(BagFile):
                 raise ValueError
             if kind == _MCAP_MESSAGE:
                 channel, _, received_ns = struct.unpack("<HIq", read(start, 14))
-                yield Message(channel, received_ns, (-1, start + 22, max(size - 22, 0)))
+                yield Message(channel, received_ns, (chunk, start + 22, max(size - 22, 0)))
             elif kind == _MCAP_CHUNK:
                 unpacked_bytes, crc, letters = struct.unpack("<16xQII", read(start, 32))
                 (method,) = _texts(read, start + 28, 1)
@@ -242,7 +242,7 @@ def _kind_of(name: str) -> str:
 class _Ros1(BagFile):
     _first = 13
 
-    def _records(self, read: Read, start: int, stop: int) -> Iterator[Message | _Chunk]:
+    def _records(self, read: Read, start: int, stop: int, chunk: int) -> Iterator[Message | _Chunk]:
         while start < stop:
             head, start = _fields(read, start)
             (size,) = struct.unpack("<I", read(start, 4))
@@ -251,7 +251,7 @@ class _Ros1(BagFile):
                 raise ValueError
             if kind == _ROS1_MESSAGE:
                 channel, seconds, nanoseconds = struct.unpack("<III", head["conn"] + head["time"])
-                yield Message(channel, seconds * 10**9 + nanoseconds, (-1, start + 4, size))
+                yield Message(channel, seconds * 10**9 + nanoseconds, (chunk, start + 4, size))
             elif kind == _ROS1_CHUNK:
                 (unpacked_bytes,) = struct.unpack("<I", head["size"])
                 yield _Chunk(start + 4, size, unpacked_bytes, head["compression"].decode())

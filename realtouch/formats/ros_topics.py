@@ -142,7 +142,8 @@ class Topic:
         elif not kind.startswith(_PACKAGES) or kind in _NO_STREAMS:
             self.problem = "no measurements"
         elif kind not in (IMAGE, _COMPRESSED, TRANSFORMS):
-            self.getters = dict(_getters(encoding, kind, "", topic.strip("/").replace("/", ".")))
+            name = wording.printable(topic.strip("/").replace("/", "."))
+            self.getters = dict(_getters(encoding, kind, "", name))
 
     @property
     def title(self) -> str:
