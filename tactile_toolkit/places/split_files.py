@@ -13,8 +13,7 @@ from typing import TypeAlias
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.folder import PENDING_FOLDER
-from tactile_toolkit.store.job import pending_shards
-from tactile_toolkit.store.manifest import DATA_FOLDER, VIEWER_FOLDER
+from tactile_toolkit.store.manifest import DATA_FOLDER, VIEWER_FOLDER, pending_shards
 from tactile_toolkit.value_types import JsonObject
 
 PARQUET = ".parquet"

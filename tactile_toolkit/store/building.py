@@ -33,13 +33,11 @@ from tactile_toolkit.store.job import (
     ShardTask,
     begin_job,
     is_pending,
-    pending_records,
     refuse_unknown_files,
     remove_leftovers,
     remove_pending,
     require_parts,
     require_same_job,
-    write_shard_record,
 )
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import (
@@ -50,9 +48,11 @@ from tactile_toolkit.store.manifest import (
     ShardName,
     ShardRecord,
     decode,
+    pending_records,
     read_manifest,
     require_rows,
     write_manifest,
+    write_shard_record,
 )
 from tactile_toolkit.store.verification import RECORD_FILE
 

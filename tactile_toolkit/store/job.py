@@ -6,7 +6,6 @@ manifest from then on. A record names its job, so leftovers of another job never
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import socket
@@ -18,7 +17,6 @@ from importlib.metadata import version
 from itertools import groupby
 from typing import Any, TypedDict
 
-import msgspec
 import pyarrow as pa
 
 from tactile_toolkit import __version__, errors, run, wording
@@ -27,16 +25,14 @@ from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.manifest import (
     DATA_FOLDER,
     MANIFEST_FILE,
-    Count,
     Manifest,
     ShardName,
     ShardRecord,
     Skipped,
-    decode,
     is_of_others,
+    pending_records,
+    pending_shards,
     read_manifest,
-    require_seal,
-    seal,
     write_manifest,
 )
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
@@ -543,52 +539,6 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterabl
                 "changed",
                 next="move it to another folder",
             )
-
-
-class _Pending(msgspec.Struct):
-    """Further fields of the record of a pending shard: its job, and the size of its report rows."""
-
-    of: str
-    report_bytes: Count | None = None
-
-
-def write_shard_record(
-    folder: DataFolder, record: ShardRecord, of: str, report_bytes: int | None = None
-) -> None:
-    """Write the record of a finished shard."""
-    values = {**record.to_dict(), "of": of, "report_bytes": report_bytes}
-    folder.write_bytes(record.shard.record_path, seal(json.dumps(values, indent=1)).encode())
-
-
-def pending_shards(waiting: Iterable[str]) -> list[ShardName]:
-    """Return the shards that have a pending record, from the names of files."""
-    names = (name.removesuffix(".json") for name in waiting if name.endswith(".json"))
-    return [shard for shard in (ShardName.parse(f"{name}.parquet") for name in names) if shard is not None]
-
-
-def pending_records(
-    folder: DataFolder, of: str, is_wanted: Callable[[ShardName], bool] = lambda _: True
-) -> dict[ShardName, ShardRecord]:
-    """Read the pending records of a job, of the shards that are wanted.
-
-    A record whose report rows are missing, or have another size, does not count.
-    """
-    waiting = folder.sizes(PENDING_FOLDER)
-    chosen = list(filter(is_wanted, pending_shards(waiting)))
-    if not chosen:
-        return {}
-    contents = folder.read_many([shard.record_path for shard in chosen])
-    records = {}
-    for shard, content in zip(chosen, contents, strict=True):
-        # If a record cannot be read, its shard is made again. It may also have been removed since the
-        # listing, because the run has just ended.
-        with contextlib.suppress(errors.IntegrityError, ValueError):
-            require_seal(content or b"", shard.record_path)
-            pending = decode(content or b"", _Pending, shard.record_path)
-            if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
-                record = decode(content or b"", ShardRecord, shard.record_path)
-                records[record.shard] = record
-    return records
 
 
 def manifest_so_far(folder: DataFolder) -> Manifest | None:

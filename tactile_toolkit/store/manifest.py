@@ -8,7 +8,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import zip_longest
@@ -443,6 +443,52 @@ def read_manifest(folder: DataFolder) -> Manifest | None:
 def write_manifest(folder: DataFolder, manifest: Manifest) -> None:
     """Write the manifest of a folder in one step."""
     folder.write_bytes(MANIFEST_FILE, manifest.to_json().encode())
+
+
+class _Pending(msgspec.Struct):
+    """Further fields of the record of a pending shard: its job, and the size of its report rows."""
+
+    of: str
+    report_bytes: Count | None = None
+
+
+def write_shard_record(
+    folder: DataFolder, record: ShardRecord, of: str, report_bytes: int | None = None
+) -> None:
+    """Write the record of a finished shard."""
+    values = {**record.to_dict(), "of": of, "report_bytes": report_bytes}
+    folder.write_bytes(record.shard.record_path, seal(json.dumps(values, indent=1)).encode())
+
+
+def pending_shards(waiting: Iterable[str]) -> list[ShardName]:
+    """Return the shards that have a pending record, from the names of files."""
+    names = (name.removesuffix(".json") for name in waiting if name.endswith(".json"))
+    return [shard for shard in (ShardName.parse(f"{name}.parquet") for name in names) if shard is not None]
+
+
+def pending_records(
+    folder: DataFolder, of: str, is_wanted: Callable[[ShardName], bool] = lambda _: True
+) -> dict[ShardName, ShardRecord]:
+    """Read the pending records of a job, of the shards that are wanted.
+
+    A record whose report rows are missing, or have another size, does not count.
+    """
+    waiting = folder.sizes(PENDING_FOLDER)
+    chosen = list(filter(is_wanted, pending_shards(waiting)))
+    if not chosen:
+        return {}
+    contents = folder.read_many([shard.record_path for shard in chosen])
+    records = {}
+    for shard, content in zip(chosen, contents, strict=True):
+        # If a record cannot be read, its shard is made again. It may also have been removed since the
+        # listing, because the run has just ended.
+        with contextlib.suppress(errors.IntegrityError, ValueError):
+            require_seal(content or b"", shard.record_path)
+            pending = decode(content or b"", _Pending, shard.record_path)
+            if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
+                record = decode(content or b"", ShardRecord, shard.record_path)
+                records[record.shard] = record
+    return records
 
 
 @contextlib.contextmanager

@@ -20,8 +20,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest, verify
-from tactile_toolkit.store.job import pending_records
-from tactile_toolkit.store.manifest import require_seal, seal
+from tactile_toolkit.store.manifest import pending_records, require_seal, seal
 from tactile_toolkit.store.verification import (
     RECORD_FILE,
     DownloadRecord,
