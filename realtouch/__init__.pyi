@@ -24,7 +24,7 @@ from .convert.media_conversions import (
     resize as resize,
 )
 from .convert.picture_files import frames as frames
-from .convert.conversion import select as select
+from .convert.selection import select as select
 from .checks.rules import RecordingFinding as RecordingFinding
 from .checks.checking import (
     check as check,

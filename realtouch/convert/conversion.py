@@ -1,30 +1,25 @@
-"""Conversions and selections: source, rows, the step for a row, index tables, and how they are run.
+"""Conversions: source, rows, the step for a row, tables that index files, and how a conversion is run.
 
 A conversion is planned from footers, and each shard is made from its own rows, block by block. An interrupted
 conversion continues where it stopped. The same source and options give byte-identical Parquet for any number
-of workers; see ``tactile_toolkit.store``. A selection is a conversion that takes some rounds and touches.
+of workers; see ``tactile_toolkit.store``.
 """
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import accumulate, groupby, pairwise
-from operator import itemgetter
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Protocol, Unpack
 
-import numpy as np
 import pyarrow as pa
 
 from realtouch import kind, touch_card
-from realtouch.convert import findings
 from realtouch.touches import datasets, loading, schema, stored_round
 from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
-from tactile_toolkit.value_types import JsonDict, JsonObject
+from tactile_toolkit.value_types import JsonObject
 
 Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
@@ -410,171 +405,3 @@ def plan_build(
     if sensor is not None and sensor != touch.GELSIGHT_MINI:
         options.setdefault("sensor", {"name": sensor})
     return plan_conversion(replace(conversion, options=options))
-
-
-def select(
-    source: places.Name | places.Place,
-    out: str | PathLike[str],
-    *,
-    contact: bool = False,
-    min_height_m: float | None = None,
-    recalibrate_z: bool = True,
-    without: str | PathLike[str] | None = None,
-    **job: Unpack[JobOptions],
-) -> store.Manifest:
-    """Write some rounds and touches of a data set; images and clips are copied byte for byte.
-
-    Parameters
-    ----------
-    source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
-        As for :func:`clips_to_images`; ``limit`` counts the rounds that are left.
-    contact : bool
-        Only touches with contact, see :meth:`~realtouch.Touches.in_contact`. Rounds then differ in their
-        number of touches. If heights decide, a column ``plate_z_m`` keeps the height of the plate, which
-        followed from the removed touches.
-    min_height_m : float, optional
-        Height above the plate from which a touch counts as contact, metres; see
-        :meth:`~realtouch.Touches.in_contact`.
-    recalibrate_z : bool
-        Take the deepest touch of each round as the plate, where its height is not known.
-    without : str or path, optional
-        Document of `realtouch check --json`. Touches that its findings leave out are not taken; the option
-        ``without`` of the manifest lists them with the rule of each. A finding that is removed from the
-        document is ignored.
-
-    Returns
-    -------
-    Manifest
-
-    Raises
-    ------
-    InputError, SpecMismatchError, StorageError
-        As :func:`clips_to_images`; InputError, too, for findings of another data set.
-    """
-    if min_height_m is not None:
-        min_height_m = checked_fields.checked_number(min_height_m, "min_height_m")
-        if not contact:
-            raise errors.InputError("has no effect without `contact`", field="min_height_m")
-    touches: JsonDict = {
-        "contact": contact,
-        "min_height_m": min_height_m,
-        "recalibrate_z": recalibrate_z,
-    }
-    return write_conversion(source, out, partial(_selection, touches, without), **job)
-
-
-def _selection(
-    touches: JsonObject,
-    without: str | PathLike[str] | None,
-    opened: loading.Source,
-    rows: catalog.RowFilter,
-) -> Conversion:
-    options = {**touches}
-    if not options["contact"] and without is None:
-        whole = KeepTouches(some_touches=False)
-        return Conversion(opened, "select", options, whole, chosen_rows(opened, rows))
-    left_out: Mapping[tuple[str, int], Collection[int]] = {}
-    if without is not None:
-        left_out, options["without"] = findings.read_findings(without, opened)
-    sources = opened.contact_sources
-    rule = "; or ".join(map(str, sources))
-    by_height = options["min_height_m"] is not None or any(source.heights for source in sources)
-    choices = chosen_rows(opened, replace(rows, limit=None))
-    if options["contact"]:
-        if len(sources) == 1 and sources[0].heights is not None and options["min_height_m"] is None:
-            options["min_height_m"] = sources[0].heights.min_height_m
-        if options["min_height_m"] is None:
-            options["contact_rule"] = rule
-    # The limit counts rounds that are left.
-    choices = {
-        split: _chosen_touches(opened, split, of_split, options, left_out)[: rows.limit]
-        for split, of_split in choices.items()
-    }
-    if any(choices.values()):
-        return Conversion(opened, "select", options, KeepTouches(True, by_height), choices)
-    if without is not None:
-        raise errors.InputError(
-            f"no chosen touch of {opened.name!r} is left without those of the findings",
-            next="remove findings from the document, or give fewer filters",
-        )
-    if options["min_height_m"] is not None:
-        raise _no_contact(opened, options["min_height_m"])
-    raise errors.InputError(
-        f"no chosen touch of {opened.name!r} is a contact (a touch is one if {rule})",
-        next="leave out --contact, or give fewer filters",
-    )
-
-
-def _no_contact(source: loading.Source, height_m: float) -> errors.InputError:
-    heights_m = [datasets.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
-    return errors.InputError(
-        f"no chosen touch of {source.name!r} is a contact (a touch is one if "
-        f"{touch.HeightRule(height_m, 'known').height_text}); the highest of all touches is "
-        f"{1e3 * max(of_split.max(initial=-math.inf) for of_split in heights_m):.1f} mm above it",
-        next="give a smaller --min-height-mm, or fewer filters",
-    )
-
-
-def _chosen_touches(
-    source: loading.Source,
-    split: str,
-    choices: Sequence[RowChoice],
-    options: JsonObject,
-    left_out: Mapping[tuple[str, int], Collection[int]],
-) -> list[RowChoice]:
-    """Return the chosen rows of a split that have touches to keep, with these touches."""
-    rows = [choice.row for choice in choices]
-    touches = datasets.dataset_of(source.shards[split])[rows].touches()
-    if options["contact"]:
-        touches = touches.with_contact(options["min_height_m"], options["recalibrate_z"])
-    pairs = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
-    kept = (pair for pair in pairs if pair[1] not in left_out.get((split, rows[pair[0]]), ()))
-    return [
-        RowChoice(rows[position], tuple(touch for _, touch in group))
-        for position, group in groupby(kept, key=itemgetter(0))
-    ]
-
-
-@dataclass(frozen=True)
-class KeepTouches:
-    """Step of ``select``: the chosen touches of a round.
-
-    ``by_height`` says that heights decide about contact, so that the height of the plate is kept.
-    """
-
-    some_touches: bool
-    by_height: bool = False
-
-    def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the schema of the source; lists over touches get a variable length if rounds lose touches.
-
-        The touches that showed the height of the plate may be gone.
-        """
-        if not self.some_touches:
-            return source
-        fields = list(source)
-        for index, column in enumerate(source):
-            if schema.is_per_touch(column.name, column.type):
-                fields[index] = pa.field(column.name, pa.list_(column.type.value_type))
-        if self.by_height and touch.HeightRule.PLATE_COLUMN not in source.names:
-            fields.append(pa.field(touch.HeightRule.PLATE_COLUMN, pa.float64()))
-        return pa.schema(fields)
-
-    def apply(self, row: stored_round.StoredRound, choice: RowChoice, split: str) -> Made:
-        """Return a row with the chosen touches; no image or clip is decoded."""
-        flat = schema.flat_row(row)
-        if choice.touches is None:
-            return flat, {}
-        kept = schema.take_touches(flat, choice.touches, row.touch_total())
-        if row.has(touch.HeightRule.PLATE_COLUMN) or not self.by_height:
-            return kept, {}
-        plate_m = None
-        if row.has_poses:
-            plate_m = row.plate_z_m(row.contact_source.heights)
-            if math.isnan(plate_m):
-                plate_m = row.contact_z_m().min(initial=np.inf)
-        column = touch.HeightRule.PLATE_COLUMN
-        values = pa.array([plate_m], pa.float64())
-        if column in kept.column_names:  # it is null in rows that lacked it before sets were merged
-            return kept.set_column(kept.schema.get_field_index(column), column, values), {}
-        return kept.append_column(column, values), {}

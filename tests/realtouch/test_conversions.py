@@ -16,7 +16,8 @@ from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.conversion import Conversion, KeepTouches, RowChoice, plan_conversion
+from realtouch.convert.conversion import Conversion, RowChoice, plan_conversion
+from realtouch.convert.selection import KeepTouches
 from realtouch.touches.loading import Source
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.runners import ProcessRunner
