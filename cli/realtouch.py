@@ -13,6 +13,7 @@ import realtouch
 from cli import application, contents, options, output, runs
 from cli.options import GenerateOptions, RunOptions, SourceOptions, argument, out_folder
 from realtouch import touch_options
+from realtouch.importing import import_options
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, checked_fields, places, store, touch
 from tactile_toolkit.checked_fields import text
@@ -62,10 +63,10 @@ def import_touches(
     *,
     source: str = argument("SOURCE", "Folder or file of videos, images, episodes, arrays or ROS bags."),
     out: str = out_folder(),
-    spec: touch_options.ImportSpec,
-    columns: touch_options.ImportColumns,
+    spec: import_options.ImportSpec,
+    columns: import_options.ImportColumns,
     mapped: list[str] | None = _MAPPED,
-    alignment: touch_options.Alignment,
+    alignment: import_options.Alignment,
     run_options: GenerateOptions,
     sink: output.Sink,
 ) -> None:
@@ -110,29 +111,29 @@ def _print_preview(sink: output.Sink, preview: realtouch.ImportPreview, out: str
     rows = [(name, *(values.get(name, "") for values in preview.first)) for name in names]
     sink.table(("stored as", *(f"touch {number}" for number in range(len(preview.first)))), rows)
     if preview.streams:
-        sink.table(touch_options.STREAM_HEADER, preview.streams)
+        sink.table(import_options.STREAM_HEADER, preview.streams)
     if preview.left_out:
         sink.table(("left out because of", "touches", "the first"), preview.left_out)
 
 
 def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
     options = manifest.spec["options"]
-    if touch_options.CONVERSION in options:
-        sink.info(f"pictures: {options[touch_options.CONVERSION]}")
+    if import_options.CONVERSION in options:
+        sink.info(f"pictures: {options[import_options.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
-    for note in manifest.spec.get(touch_options.NOTES, ()):
+    for note in manifest.spec.get(import_options.NOTES, ()):
         sink.info(note)
-    if touch_options.STREAMS in manifest.spec:
-        sink.table(touch_options.STREAM_HEADER, manifest.spec[touch_options.STREAMS])
-    if touch_options.LEFT_OUT in manifest.spec:
-        sink.info(f"not read: {'; '.join(manifest.spec[touch_options.LEFT_OUT])}")
+    if import_options.STREAMS in manifest.spec:
+        sink.table(import_options.STREAM_HEADER, manifest.spec[import_options.STREAMS])
+    if import_options.LEFT_OUT in manifest.spec:
+        sink.info(f"not read: {'; '.join(manifest.spec[import_options.LEFT_OUT])}")
     counted = manifest.total_statistics()
-    for note, count in counted.get(touch_options.CLIPS, {}).items():
+    for note, count in counted.get(import_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
-    for note, count in counted.get(touch_options.PICTURES, {}).items():
+    for note, count in counted.get(import_options.PICTURES, {}).items():
         sink.info(f"{with_count(count, 'pictures')}: {note}")
-    fields = counted.get(touch_options.NOT_IMPORTED, {})
+    fields = counted.get(import_options.NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")

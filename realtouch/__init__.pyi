@@ -1,8 +1,8 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .touch_options import (
+from .touch_options import CheckLimits as CheckLimits
+from .importing.import_options import (
     Alignment as Alignment,
-    CheckLimits as CheckLimits,
     ImportColumns as ImportColumns,
     ImportSpec as ImportSpec,
 )

@@ -18,9 +18,8 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch import touch_options
 from realtouch.formats import exports
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches import schema as stored_schema
 from tactile_toolkit import cache, errors, read, store
 from tactile_toolkit.columns import column_types
@@ -62,7 +61,7 @@ _MAX_BITS = 63
 
 def find_flat(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:

@@ -22,9 +22,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from realtouch import touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from tactile_toolkit import cache, errors, store, touch, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.value_types import AnyArray
@@ -255,7 +254,7 @@ def _pictures_in(address: str, root: H5Object, path: str, stream: IO[bytes]) -> 
 
 def find_hdf5(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
@@ -361,7 +360,7 @@ def _recording(
     root: H5Object,
     kinds: dict[str, str],
     named: tuple[str, str, str],
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     pictures: picture_arrays.Pictures,
 ) -> source_touches.Recording:
     title, group, image = named

@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from realtouch import touch_options
 from realtouch.formats import exports, flat_parquet, media_files, zarr_recordings
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
@@ -47,7 +47,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
 
 def find_lerobot(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:

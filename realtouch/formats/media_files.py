@@ -21,10 +21,9 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch import touch_options
 from realtouch.convert import conversion, picture_files
 from realtouch.formats.exports import NamedImage, TouchFormat
-from realtouch.importing import cuts, source_files, source_touches, streams
+from realtouch.importing import cuts, import_options, source_files, source_touches, streams
 from realtouch.touches import media
 from realtouch.video import video_files, videos
 from tactile_toolkit import errors, read, store, wording
@@ -45,7 +44,7 @@ _LEFT_OUT = "-1"
 
 def find_folder(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
@@ -120,7 +119,7 @@ def _labelled(
 
 def find_video(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
@@ -190,7 +189,7 @@ def _recording(
 
 def _streams_of_one(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     paths: Sequence[str],
     ledger: source_files.Ledger,
 ) -> list[source_touches.Stream]:
@@ -230,7 +229,7 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
 
 def _table_of_videos(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     image: str,
     table: str | None,
     paths: Sequence[str],
@@ -342,7 +341,7 @@ plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
 
 def find_anytouch(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:

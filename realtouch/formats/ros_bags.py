@@ -9,9 +9,8 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch import touch_options
 from realtouch.formats import bag_files, ros_topics
-from realtouch.importing import recognition, source_files, source_touches
+from realtouch.importing import import_options, recognition, source_files, source_touches
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.value_types import Float64, Int64
 
@@ -23,7 +22,7 @@ _MAX_TOPICS = 1000
 
 def find_rosbag(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:

@@ -25,7 +25,7 @@ import pyarrow as pa
 from realtouch import touch_options
 from realtouch.convert import conversion, picture_files
 from realtouch.formats import exports
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches import media
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types, tables
@@ -93,7 +93,7 @@ plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
 
 def find_webdataset(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
@@ -200,7 +200,7 @@ class _Sample(NamedTuple):
     unread: Sequence[str]
 
 
-def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportColumns) -> _Sample:
+def _sample(key: str, members: Sequence[_Member], columns: import_options.ImportColumns) -> _Sample:
     """Combine the files of one key."""
     problems: list[errors.ItemError] = []
     named = store.problem_of_name(key)
@@ -291,7 +291,7 @@ plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps
 
 def find_fota(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:

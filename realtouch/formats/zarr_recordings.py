@@ -18,7 +18,7 @@ import pyarrow as pa
 from realtouch import touch_options
 from realtouch.formats import picture_arrays, zarr_arrays
 from realtouch.formats.exports import CONTACT
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.columns import column_types
@@ -48,7 +48,7 @@ _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUM
 
 def find_replay(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
@@ -65,7 +65,7 @@ def find_replay(
 
 def find_oxt(
     home: store.DataFolder,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
@@ -127,7 +127,7 @@ def recordings_of(
     group: zarr_arrays.ZarrGroup,
     names: Iterable[str],
     pictures: tuple[str, int | None],
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
 ) -> Iterator[source_touches.Recording]:
     """Return all episodes; ``pictures`` is an array of ``data``, and the number of the sensor in it.
 
@@ -201,7 +201,7 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     return ends
 
 
-def episode_columns(whole: source_touches.Recording, columns: touch_options.ImportColumns) -> set[str]:
+def episode_columns(whole: source_touches.Recording, columns: import_options.ImportColumns) -> set[str]:
     """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
     known = columns.found_in(whole.per_frame)
     stated = {source_files.NUMBERED, known.label, known.object_id, known.round, known.split}

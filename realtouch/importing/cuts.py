@@ -9,9 +9,9 @@ from pathlib import PurePosixPath
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch import contact, touch_options
+from realtouch import contact
 from realtouch.contact import ContactThresholds
-from realtouch.importing import fields, source_files, source_touches
+from realtouch.importing import fields, import_options, source_files, source_touches
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.columns import column_types, tables, units
@@ -58,7 +58,7 @@ class CutTable:
         There is no table at ``path``, or it does not say when touches start and end.
     """
 
-    def __init__(self, path: str, columns: touch_options.ImportColumns) -> None:
+    def __init__(self, path: str, columns: import_options.ImportColumns) -> None:
         home, name = source_files.source_of(path)
         if not home.exists(name):
             raise errors.InputError(
@@ -221,7 +221,7 @@ class Cutter:
         self,
         cut: str | None,
         contents: source_files.ReadContents,
-        columns: touch_options.ImportColumns | None = None,
+        columns: import_options.ImportColumns | None = None,
         default: str = "frames",
     ) -> None:
         self.pictures: dict[str, bytes] = {}
@@ -230,7 +230,7 @@ class Cutter:
         self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactThresholds()
         self._table = None
         if cut is not None and cut not in source_touches.CUTS:
-            self._table = CutTable(cut, columns or touch_options.ImportColumns())
+            self._table = CutTable(cut, columns or import_options.ImportColumns())
             self.reads_times = self._table.has_times
 
     def cut(self, recording: source_touches.Recording) -> source_touches.SourceTouches:

@@ -16,8 +16,7 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from realtouch import touch_options
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches.poses import bad_pose
 from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
 from tactile_toolkit import arithmetic, errors, wording
@@ -107,9 +106,9 @@ def objects_of(
 
 
 def each_of(
-    read: Callable[[Fields, touch_options.ImportColumns], Float64],
+    read: Callable[[Fields, import_options.ImportColumns], Float64],
     fields: Fields,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     rows: Int64,
 ) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
     """Read the values of some touches or pictures at once, or in smaller parts where some are wrong.
@@ -137,7 +136,7 @@ def each_of(
     return values, dict(sorted(problems.items()))
 
 
-def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
+def stated_positions(fields: Fields, columns: import_options.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
     Raises ItemError for other values, and InputError for a tilted frame, as x and y then depend on the
@@ -156,7 +155,7 @@ def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Fl
     return position_m
 
 
-def poses(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
+def poses(fields: Fields, columns: import_options.ImportColumns) -> Float64:
     """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
 
     Raises ItemError for other values.
@@ -220,13 +219,13 @@ def _instants_s(values: pa.Array) -> Float64 | None:
     return None
 
 
-def _of_quaternions(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
+def _of_quaternions(numbers: Float64, columns: import_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions x, y, z, w of poses of seven numbers."""
     order = [3 + columns.order.index(axis) for axis in "xyzw"]
     return numbers[:, :3], numbers[:, order]
 
 
-def _of_angles(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
+def _of_angles(numbers: Float64, columns: import_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
     position, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
@@ -240,7 +239,7 @@ def _of_angles(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[
     return position, Rotation.from_rotvec(angles).as_quat()
 
 
-def _of_matrices(numbers: Float64, _columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
+def _of_matrices(numbers: Float64, _columns: import_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of matrices, (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not arithmetic.are_rigid(matrices):
@@ -252,7 +251,7 @@ def _of_matrices(numbers: Float64, _columns: touch_options.ImportColumns) -> tup
     return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
-def _frame(columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
+def _frame(columns: import_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and translation, in metres, from the frame of the source to the cell frame."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
@@ -272,7 +271,7 @@ def _require_metres(position_m: Float64, reason: str) -> None:
 
 def _numbers(
     fields: Fields,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     names: tuple[str, ...],
     sizes: tuple[int, ...],
     reason: str,
@@ -303,11 +302,11 @@ class ExtraColumns:
     the name of the column in a data set.
     """
 
-    columns: touch_options.ImportColumns
+    columns: import_options.ImportColumns
     types: Mapping[str, pa.DataType]
 
     @classmethod
-    def of(cls, touches: source_touches.SourceTouches, columns: touch_options.ImportColumns) -> ExtraColumns:
+    def of(cls, touches: source_touches.SourceTouches, columns: import_options.ImportColumns) -> ExtraColumns:
         """Choose the extra columns of touches.
 
         A column of objects, bytes or lists of several lengths is not kept, nor one without any value. Raises
@@ -328,7 +327,7 @@ class ExtraColumns:
                     f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
                     next=f"name one of them: --map NEW={sources[name]}",
                 )
-            if not touch_options.is_extra_name(name) or len(sources) == _MAX_COLUMNS:
+            if not import_options.is_extra_name(name) or len(sources) == _MAX_COLUMNS:
                 continue
             sources[name] = source
             is_frame = source in touches.per_frame.column_names
@@ -371,7 +370,7 @@ class ExtraColumns:
         return {name: count for name, count in counts.items() if count}
 
 
-def _used(columns: touch_options.ImportColumns) -> set[str | None]:
+def _used(columns: import_options.ImportColumns) -> set[str | None]:
     """Return the columns of a source that hold labels, poses and so on, not extra values."""
     named = {source for _, source in columns.extra}
     used: set[str | None] = {*columns.names(), columns.image} - named

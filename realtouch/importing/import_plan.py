@@ -16,10 +16,11 @@ from typing import Any, Unpack
 import numpy as np
 import pyarrow.compute as pc
 
-from realtouch import kind, touch_card, touch_options
+from realtouch import kind, touch_card
 from realtouch.convert import conversion
 from realtouch.importing import (
     fields,
+    import_options,
     import_shards,
     import_sources,
     source_files,
@@ -51,7 +52,7 @@ _LONGEST_ID = 64  # characters at the end of a path; exports write ids of at mos
 def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    spec: touch_options.ImportSpec | None = None,
+    spec: import_options.ImportSpec | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches from videos, images, episodes, arrays or ROS bags; pictures are kept.
@@ -82,7 +83,7 @@ def import_touches(
         As :func:`realtouch.clips_to_images`.
     """
     folder = store.open_folder(fspath(out))
-    spec = spec or touch_options.ImportSpec()
+    spec = spec or import_options.ImportSpec()
     recordings = import_sources.find_source(fspath(source), spec)
     folder.refuse_source(recordings.home.address(), [recordings.home.address("any file")])
     touches = arranged(recordings, spec)
@@ -121,18 +122,18 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
     if recordings.cut:
         spec["options"]["cut"] = recordings.cut
     if recordings.streams:
-        spec[touch_options.STREAMS] = list(recordings.streams[:_MAX_STREAMS])
+        spec[import_options.STREAMS] = list(recordings.streams[:_MAX_STREAMS])
     if recordings.left_out:
         left_out = list(map(wording.printable, recordings.left_out[:_MAX_LEFT_OUT]))
         if len(recordings.left_out) > _MAX_LEFT_OUT:
             left_out.append(f"and {len(recordings.left_out) - _MAX_LEFT_OUT:,} more")
-        spec[touch_options.LEFT_OUT] = left_out
+        spec[import_options.LEFT_OUT] = left_out
     notes = [*recordings.notes, *touches.notes]
     if notes:
-        spec[touch_options.NOTES] = list(map(wording.printable, notes))
+        spec[import_options.NOTES] = list(map(wording.printable, notes))
     description = import_sources.IMPORTS[recordings.layout].describe(every)
     if description:
-        spec["options"][touch_options.CONVERSION] = description
+        spec["options"][import_options.CONVERSION] = description
     pictures = {f"{_CUTS}/{name}.png": content for name, content in recordings.pictures.items()}
     return store.BuildPlan(
         kind.KIND.name,
@@ -194,7 +195,7 @@ class Arranged:
     notes: Sequence[str]
 
 
-def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSpec) -> Arranged:
+def arranged(recordings: import_sources.ReadSource, spec: import_options.ImportSpec) -> Arranged:
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if spec.split is not None and not _SPLIT.fullmatch(spec.split):
         raise errors.InputError(f"the split is {spec.split!r}; expected letters, digits and underscores")
@@ -264,7 +265,7 @@ def too_many_left_out(touches: Arranged, max_share: float) -> errors.InputError 
 
 
 def _contents_of(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, names: Sequence[str]
+    touches: source_touches.SourceTouches, columns: import_options.ImportColumns, names: Sequence[str]
 ) -> list[tuple[int, int] | None]:
     """Return the label and the object of each touch; None where they cannot be read."""
     labels, no_labels = fields.labels_of(touches, columns.label, names)
@@ -334,7 +335,7 @@ def _class_names(touches: source_touches.SourceTouches, column: str | None) -> t
 
 
 def _rounds(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, split: str | None
+    touches: source_touches.SourceTouches, columns: import_options.ImportColumns, split: str | None
 ) -> Mapping[str, Mapping[str, Sequence[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round gets its own."""
     by_split: dict[str, dict[str, list[int]]] = {}

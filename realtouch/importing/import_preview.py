@@ -10,8 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import touch_options
-from realtouch.importing import fields, import_plan, import_sources, source_touches
+from realtouch.importing import fields, import_options, import_plan, import_sources, source_touches
 from tactile_toolkit import store, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.touch import MEDIA_TYPE
@@ -71,7 +70,7 @@ class ImportPreview:
 
 def preview_import(
     source: str | PathLike[str],
-    spec: touch_options.ImportSpec | None = None,
+    spec: import_options.ImportSpec | None = None,
 ) -> ImportPreview:
     """Read what :func:`import_touches` would import, with the same parameters, and write nothing.
 
@@ -84,7 +83,7 @@ def preview_import(
     InputError
         As :func:`import_touches`.
     """
-    spec = spec or touch_options.ImportSpec()
+    spec = spec or import_options.ImportSpec()
     recordings = import_sources.find_source(fspath(source), spec)
     touches = import_plan.arranged(recordings, spec)
     messages: dict[str, list[str]] = {}

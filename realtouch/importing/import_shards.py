@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, touch_options
-from realtouch.importing import fields, import_sources, source_touches
+from realtouch import contact
+from realtouch.importing import fields, import_options, import_sources, source_touches
 from realtouch.touches import media, schema as stored_schema
 from realtouch.video import avi
 from tactile_toolkit import errors, store
@@ -97,7 +97,7 @@ class ImportTouches:
     """
 
     layout: str
-    columns: touch_options.ImportColumns
+    columns: import_options.ImportColumns
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
@@ -131,9 +131,9 @@ class ImportTouches:
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
         self._require_unchanged(touches)
         counted = {
-            touch_options.NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)),
-            touch_options.CLIPS: notes,
-            touch_options.PICTURES: converted,
+            import_options.NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)),
+            import_options.CLIPS: notes,
+            import_options.PICTURES: converted,
         }
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
@@ -197,7 +197,7 @@ class ImportTouches:
     def _of_pictures(
         self,
         touches: source_touches.SourceTouches,
-        read: Callable[[fields.Fields, touch_options.ImportColumns], Float64],
+        read: Callable[[fields.Fields, import_options.ImportColumns], Float64],
         names: tuple[str, ...],
         width: int,
         owners: Int64,
@@ -415,7 +415,7 @@ def clip_of(
     row: int,
     pictures: Sequence[bytes],
     size: tuple[int, int],
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
 ) -> ImportedClip:
     """Return a clip of pictures that are intact and of one size (height, width).
 
@@ -448,7 +448,7 @@ def clip_of(
 
 
 def clip_times_s(
-    touches: source_touches.SourceTouches, row: int, columns: touch_options.ImportColumns
+    touches: source_touches.SourceTouches, row: int, columns: import_options.ImportColumns
 ) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if not known.
 

@@ -12,8 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import touch_options
-from realtouch.importing import cuts, recognition, source_files, source_touches
+from realtouch.importing import cuts, import_options, recognition, source_files, source_touches
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from tactile_toolkit import errors, kind, store, touch, wording
@@ -24,7 +23,7 @@ _MAX_NAMED = 4  # files of one kind that are named one by one
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
 Version = tuple[object, ...] | None
 FindTouches = Callable[
-    [store.DataFolder, touch_options.ImportColumns, str | None, source_files.Ledger],
+    [store.DataFolder, import_options.ImportColumns, str | None, source_files.Ledger],
     Iterator[source_touches.SourceTouches | source_touches.Recording],
 ]
 """Yields the touches of a folder, or recordings to cut, given columns and the path of a table.
@@ -48,7 +47,7 @@ class ReadSource:
     layout: str
     recognised_by: str
     touches: source_touches.SourceTouches
-    columns: touch_options.ImportColumns
+    columns: import_options.ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
@@ -76,10 +75,10 @@ def _version(folder: store.DataFolder, path: str) -> Version:
     return (digest.hexdigest(),)
 
 
-def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
+def find_source(address: str, spec: import_options.ImportSpec) -> ReadSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
     home = store.open_folder(address)
-    columns = spec.columns or touch_options.ImportColumns()
+    columns = spec.columns or import_options.ImportColumns()
     format_ = recognition.Recognised(spec.layout or "", "")
     if not home.exists():
         raise errors.InputError(
@@ -137,7 +136,7 @@ Need = tuple[str, object, object, str]
 """An option, its value, whether the source has what it applies to, and what that is."""
 
 
-def _needs_of_format(spec: touch_options.ImportSpec, read: ImportFormat) -> list[Need]:
+def _needs_of_format(spec: import_options.ImportSpec, read: ImportFormat) -> list[Need]:
     image = spec.columns.image_name if spec.columns else ""
     return [
         ("table", spec.table, read.has_table, "a format whose pictures a table describes"),
@@ -146,14 +145,14 @@ def _needs_of_format(spec: touch_options.ImportSpec, read: ImportFormat) -> list
 
 
 def _needs_of_columns(
-    spec: touch_options.ImportSpec,
-    columns: touch_options.ImportColumns,
+    spec: import_options.ImportSpec,
+    columns: import_options.ImportColumns,
     aligner: Aligner,
     cutter: cuts.Cutter,
 ) -> list[Need]:
     """Return what options need of a source that has ``columns``, and was aligned and cut."""
-    stated = spec.columns or touch_options.ImportColumns()
-    has_angles = bool(columns.pose) and len(columns.pose or ()) not in touch_options.POSES_WITHOUT_ANGLES
+    stated = spec.columns or import_options.ImportColumns()
+    has_angles = bool(columns.pose) and len(columns.pose or ()) not in import_options.POSES_WITHOUT_ANGLES
     in_metres = columns.pose or columns.position
     pose = "a pose (--map pose=COLUMNS)"
     lengths = "a pose or a position (--map pose=COLUMNS)"
@@ -167,7 +166,7 @@ def _needs_of_columns(
         ("angle_unit", stated.angle_unit, has_angles, "a pose with angles"),
         ("time_unit", stated.time_unit, columns.time or aligner.tables or cutter.reads_times, times),
     ]
-    usual = touch_options.Alignment()
+    usual = import_options.Alignment()
     for option in fields(usual):
         is_changed = getattr(spec.alignment or usual, option.name) != getattr(usual, option.name)
         # Streams in the file of the pictures have their clock, and need not last as long.
@@ -213,7 +212,7 @@ def _list_unread(home: store.DataFolder, layout: str, ledger: source_files.Ledge
 def _read_folders(
     home: store.DataFolder,
     layout: str,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     table: str | None,
     ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches | source_touches.Recording]:
@@ -240,7 +239,7 @@ def _files_of_several(
 
 
 def _timed(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
+    touches: source_touches.SourceTouches, columns: import_options.ImportColumns
 ) -> source_touches.SourceTouches:
     """Return images with a field of times in seconds, as the pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
@@ -253,7 +252,7 @@ def _timed(
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
 
-    def read(fields: Mapping[str, pa.Array], how: touch_options.ImportColumns) -> Float64:
+    def read(fields: Mapping[str, pa.Array], how: import_options.ImportColumns) -> Float64:
         return times_s(fields[source_touches.TIME_S], how.time or "", how.time_unit)
 
     time_s, problems = each_of(read, {source_touches.TIME_S: values}, columns, rows)
@@ -274,7 +273,7 @@ def _checked(touches: source_touches.SourceTouches) -> source_touches.SourceTouc
 
 
 def fields_of_whole(
-    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
+    touches: source_touches.SourceTouches, columns: import_options.ImportColumns
 ) -> source_touches.SourceTouches:
     """Return clips with the label, round, object and split of their pictures as fields of the clip.
 

@@ -12,8 +12,7 @@ from typing import IO, NamedTuple
 
 from numpy.lib import format as npy_format
 
-from realtouch import touch_options
-from realtouch.importing import source_files
+from realtouch.importing import import_options, source_files
 from realtouch.kind import KIND
 from realtouch.video import video_files
 from tactile_toolkit import errors, places, store, wording
@@ -109,7 +108,7 @@ def recognised(address: str) -> Recognised:
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
         raise errors.InputError(
             f"{address!r} holds no recordings of a known format (found {shown})",
-            next=f"name the format with --format: {', '.join(touch_options.IMPORT_LAYOUTS)}",
+            next=f"name the format with --format: {', '.join(import_options.IMPORT_LAYOUTS)}",
         )
     if len(marked) > 1:
         words = ", ".join(f"{layout} ({first})" for layout, first in marked.items())
@@ -216,7 +215,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
             next="open it with `realtouch.load`",
         )
     layout = str(dict(data_set.spec["options"]).get("layout", "folder"))
-    if layout not in touch_options.IMPORT_LAYOUTS:
+    if layout not in import_options.IMPORT_LAYOUTS:
         raise errors.InputError(
             f"{home.address()!r} is an export for {layout}, which is not imported",
             next="give the data set that it was made of",

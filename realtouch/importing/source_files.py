@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from realtouch import touch_options
-from realtouch.importing import source_touches
+from realtouch.importing import import_options, source_touches
 from tactile_toolkit import errors, run, store, touch, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.value_types import JsonDict
@@ -144,7 +143,7 @@ class SourceTable(NamedTuple):
 
 @store.without_collecting()
 def read_table(
-    table: tables.Table, columns: touch_options.ImportColumns, names: Iterable[str | None] = ()
+    table: tables.Table, columns: import_options.ImportColumns, names: Iterable[str | None] = ()
 ) -> SourceTable:
     """Read a whole table; InputError if it cannot be read.
 

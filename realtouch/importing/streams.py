@@ -12,9 +12,8 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from realtouch import touch_options
-from realtouch.importing import fields, source_files, source_touches
-from realtouch.touch_options import Alignment
+from realtouch.importing import fields, import_options, source_files, source_touches
+from realtouch.importing.import_options import Alignment
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types, tables, units
 from tactile_toolkit.value_types import Bool, Float64, Floating, Int64
@@ -43,7 +42,7 @@ _NUMBERS = (pa.float64(), pa.int64())
 
 
 def open_stream(
-    folder: store.DataFolder, name: str, columns: touch_options.ImportColumns, stem: str = ""
+    folder: store.DataFolder, name: str, columns: import_options.ImportColumns, stem: str = ""
 ) -> source_touches.Stream:
     """Read the times of a table.
 
@@ -170,7 +169,7 @@ class Aligner:
         self,
         named: Sequence[str],
         how: Alignment | None,
-        columns: touch_options.ImportColumns,
+        columns: import_options.ImportColumns,
         no_streams: Collection[str] = (),
     ) -> None:
         self.reports: list[StreamReport] = []
@@ -288,7 +287,7 @@ def with_streams(
     recording: source_touches.Recording,
     streams: Sequence[source_touches.Stream],
     how: Alignment,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
     *,
     are_beside: bool = True,
 ) -> tuple[source_touches.Recording, list[StreamReport]]:
@@ -386,7 +385,7 @@ def _by_time(
     time_s: Float64,
     sample_s: Float64,
     how: Alignment,
-    columns: touch_options.ImportColumns,
+    columns: import_options.ImportColumns,
 ) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:

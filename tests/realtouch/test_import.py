@@ -12,7 +12,7 @@ import pytest
 
 import realtouch
 from realtouch.formats.exports import ExportLayout
-from realtouch.touch_options import IMPORT_LAYOUTS
+from realtouch.importing.import_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tests.command_line import call

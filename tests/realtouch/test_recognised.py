@@ -14,9 +14,9 @@ import pytest
 
 import realtouch
 from realtouch.formats.exports import ExportLayout
+from realtouch.importing.import_options import IMPORT_LAYOUTS
 from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.recognition import recognised
-from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 from tests.mutations import mutated
 

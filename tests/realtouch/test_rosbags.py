@@ -13,9 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch import touch_options
 from realtouch.formats import ros_bags
-from realtouch.importing import import_sources
+from realtouch.importing import import_options, import_sources
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
@@ -53,7 +52,7 @@ def written(folder: Path, name: str, made: list[bags.Sample] | None = None, **op
 
 def imported(source: Path, out: Path, **columns: Any) -> tuple[list[bytes], dict[str, list[Any]], Any]:
     """Import a bag; return the stored pictures, the further columns, and the manifest."""
-    spec = touch_options.ImportSpec(columns=realtouch.ImportColumns(**columns))
+    spec = import_options.ImportSpec(columns=realtouch.ImportColumns(**columns))
     manifest = realtouch.import_touches(source, out, spec)
     pictures: list[bytes] = []
     extras: dict[str, list[Any]] = {}
@@ -70,7 +69,7 @@ def imported(source: Path, out: Path, **columns: Any) -> tuple[list[bytes], dict
 def images(source: Path, **columns: Any) -> tuple[Any, list[Any]]:
     """Return the touches of a bag, and the bytes of those that can be used."""
     ros_bags._opened.cache_clear()
-    spec = touch_options.ImportSpec(layout="rosbag", columns=realtouch.ImportColumns(**columns))
+    spec = import_options.ImportSpec(layout="rosbag", columns=realtouch.ImportColumns(**columns))
     recordings = import_sources.find_source(str(source), spec)
     usable = recordings.touches.take(np.flatnonzero(recordings.touches.is_usable))
     return recordings, list(import_sources.IMPORTS["rosbag"].contents(usable))

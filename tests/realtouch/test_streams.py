@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation, Slerp
 import realtouch
 from realtouch import ImportColumns
 from realtouch.importing.cuts import Cutter
+from realtouch.importing.import_options import STREAM_HEADER, Alignment
 from realtouch.importing.source_touches import Recording, Stream
 from realtouch.importing.streams import Aligner, open_stream, tables_by_stem, with_streams
-from realtouch.touch_options import STREAM_HEADER, Alignment
 from realtouch.video.avi import write_avi
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError

@@ -15,7 +15,7 @@ import pytest
 import mnist3d
 import realtouch
 import starstruck_gen
-from realtouch.touch_options import ImportColumns
+from realtouch.importing.import_options import ImportColumns
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.schemas import supported_table, supported_type
 from tactile_toolkit.touch import decode_image
