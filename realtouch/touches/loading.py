@@ -167,11 +167,10 @@ def parts_of(data_set: places.Place, split: str | None) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Source:
-    """A data set to convert: its name as the user gave it, its kind, and the shards of each split."""
+    """A data set to convert: its name as the user gave it, and the shards of each split."""
 
     name: str
     shards: Mapping[str, tuple[read.Shard, ...]]
-    kind: schema.Kind
     unfinished: str = ""
 
     @classmethod
@@ -185,14 +184,19 @@ class Source:
         shards = {part: data_set.shards(part, kind=kind.KIND) for part in splits}
         for files in shards.values():
             deque(run.in_threads(schema.require_types, files, _READERS), maxlen=0)
-        kinds = {datasets.dataset_of(files).kind for files in shards.values()}
+        return cls(data_set.name, shards, data_set.unfinished)
+
+    @property
+    def kind(self) -> schema.Kind:
+        """Whether the touches have clips or images; InputError for both, as in a merged set."""
+        kinds = {datasets.dataset_of(files).kind for files in self.shards.values()}
         media = kinds.pop()
         if kinds or media == "mixed":
             raise errors.InputError(
-                f"{data_set.name!r} holds clips and images; expected only one of them",
+                f"{self.name!r} holds clips and images; expected only one of them",
                 next="convert the data sets before they are merged",
             )
-        return cls(data_set.name, shards, media, data_set.unfinished)
+        return media
 
     @property
     def schema(self) -> pa.Schema:
@@ -227,7 +231,9 @@ class Source:
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
         sizes = run.in_threads(
-            partial(_media_bytes, f"{schema.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
+            partial(_media_bytes, tuple(f"{name}." for name in schema.MEDIA_COLUMN.values())),
+            self._files(),
+            _READERS,
         )
         count, size = map(sum, zip(*sizes, strict=True))
         return max(size // max(count, 1), 1)
@@ -251,9 +257,9 @@ class Source:
         }
 
 
-def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
-    """Return the number of values of a column of bytes, and the size of the column unpacked."""
-    chosen = [chunk for chunk in shard.column_chunks() if chunk.path_in_schema.startswith(column)]
+def _media_bytes(columns: tuple[str, ...], shard: read.Shard) -> tuple[int, int]:
+    """Return the number of values of columns of bytes, and their size unpacked."""
+    chosen = [chunk for chunk in shard.column_chunks() if chunk.path_in_schema.startswith(columns)]
     values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
     return values, sum(chunk.total_uncompressed_size for chunk in chosen)
 

@@ -137,13 +137,15 @@ def test_unlike_sets_merge_and_load(make, tmp_path, capsys):
     # A part of it, and another size, are data sets with the same columns.
     assert call("tactile", "split", out, "--fractions", "0.5,0.5", "--out", tmp_path / "parts", "-w", 1) == 0
     assert call("tactile", "verify", tmp_path / "parts" / "part-1", "-q") == 0
-    if make is not clips_and_their_stills:
-        realtouch.resize(out, tmp_path / "resized", width=20, height=16)
-        assert call("tactile", "verify", tmp_path / "resized", "-q") == 0
-        resized = realtouch.load(tmp_path / "resized", "train").touches()
-        assert resized.in_contact().tolist() == contact
-        realtouch.select(out, tmp_path / "contact", contact=True)
-        assert len(realtouch.load(tmp_path / "contact", "train").touches()) == sum(contact)
+    realtouch.resize(out, tmp_path / "resized", width=20, height=16)
+    assert call("tactile", "verify", tmp_path / "resized", "-q") == 0
+    resized = realtouch.load(tmp_path / "resized", "train").touches()
+    assert resized.in_contact().tolist() == contact
+    realtouch.select(out, tmp_path / "contact", contact=True)
+    assert len(realtouch.load(tmp_path / "contact", "train").touches()) == sum(contact)
+    if make is clips_and_their_stills:
+        with pytest.raises(InputError, match="holds clips and images; expected only one of them"):
+            realtouch.clips_to_images(out, tmp_path / "none")
     # The same bytes with two workers.
     merge_sets(TOUCHES, [first, second], str(tmp_path / "again"), workers=2)
     for file in (out / "data").iterdir():
