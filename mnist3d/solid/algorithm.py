@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, Unpack
 
@@ -28,7 +29,7 @@ from mnist3d.digit_options import SizeKeywords, SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import MM_PER_M, Mesh, connected, with_flat_underside
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 
@@ -124,15 +125,18 @@ def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, meth
         made = literal_solid(sized.mask, sized.spec)
     else:
         made = solid_steps(sized.mask, sized.spec).mesh
-    if sized.is_drawing and sized.spec.lattice_pitch_mm is not None:
-        made = without_flat_vertices(made)
-    made = fit_to_size(made, sized.size)
-    if base_mm is None and not sized.is_drawing:
-        return made
-    thickness_mm = None
-    if sized.is_drawing:
-        thickness_mm = sized.spec.half_thickness_mm * (2 if base_mm is None else 1)
-    return with_flat_underside(made, base_mm, thickness_mm)
+    if not sized.is_drawing:
+        made = fit_to_size(made, sized.size)
+        return made if base_mm is None else with_flat_underside(made, base_mm)
+    thickness_mm = sized.spec.half_thickness_mm * (2 if base_mm is None else 1)
+    if sized.spec.lattice_pitch_mm is not None:
+        for tolerance_mm in FLAT_MM:
+            simpler = without_flat_vertices(made, tolerance_mm)
+            # Without some vertices, the surface may cross itself.
+            with suppress(ItemError):
+                if simpler is not None:
+                    return with_flat_underside(fit_to_size(simpler, sized.size), base_mm, thickness_mm)
+    return with_flat_underside(fit_to_size(made, sized.size), base_mm, thickness_mm)
 
 
 def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> Mesh:
@@ -459,19 +463,15 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     return _mesh_of(solid)
 
 
-def without_flat_vertices(mesh: Mesh) -> Mesh:
-    """Remove vertices that hardly change the surface, unless bodies or holes would be lost.
+def without_flat_vertices(mesh: Mesh, tolerance_mm: float) -> Mesh | None:
+    """Remove vertices that change the surface by a tolerance at most; None if bodies or holes would be lost.
 
-    Fine lattices have many of them in even parts: a drawing keeps a fifth of its triangles.
+    Fine lattices have many of them in even parts: a drawing keeps a fifth of its triangles. The result may
+    cross itself.
     """
     counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
-    fine = mesh.to_manifold()
-    for tolerance_mm in FLAT_MM:
-        solid = fine.simplify(tolerance_mm)
-        simpler = _mesh_of(solid)
-        if _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
-            return simpler
-    return mesh
+    solid = mesh.to_manifold().simplify(tolerance_mm)
+    return _mesh_of(solid) if _keeps_topology(solid, counts) else None
 
 
 def _mesh_of(solid: manifold3d.Manifold) -> Mesh:
