@@ -136,7 +136,9 @@ def raise_bodies(
             loop_kernels.raise_shape(body_m, _KERNEL_KINDS[body.kind], body.half_m, poses[index], *grid)
         else:
             layers = body.layers(affines[index])
-            rasterise(body_m, body.vertices_m, body.faces, body.blocks_m, affines[index], layers)
+            solid = (body.vertices_m, body.faces, body.blocks_m)
+            # A hollow body may have a wall on either side of the gel.
+            rasterise(body_m, *solid, affines[index], layers, sensor.gel_m)
         is_highest = (body_m > heights_m) & (body_m <= sensor.gel_m)
         np.copyto(heights_m, body_m, where=is_highest)
         owners[is_highest] = index

@@ -20,7 +20,13 @@ Point: TypeAlias = tuple[float, float, float]
 
 @compiled
 def rasterise(
-    out: Float64, vertices: Float64, faces: Int32, blocks: Float64, affine: Float64, layers: Float64 | None
+    out: Float64,
+    vertices: Float64,
+    faces: Int32,
+    blocks: Float64,
+    affine: Float64,
+    layers: Float64 | None,
+    highest: float = math.inf,
 ) -> None:
     """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
 
@@ -29,8 +35,8 @@ def rasterise(
     the window is left out. ``affine``, shape (3, 4), maps a vertex to column, row counted from the bottom,
     both in pixels whose points have integer coordinates, and height. ``layers`` are those of a printed solid
     (:meth:`tactile_sim.Pressable.layers`), None for a solid as it was modelled, for which numba compiles a
-    kernel without them. Only sums, products, quotients, square roots and comparisons of IEEE doubles are
-    used, which every processor rounds alike.
+    kernel without them. Points above ``highest`` do not count. Only sums, products, quotients, square roots
+    and comparisons of IEEE doubles are used, which every processor rounds alike.
     """
     rows, columns = out.shape
     per_block = (len(faces) + len(blocks) - 1) // len(blocks)
@@ -58,7 +64,7 @@ def rasterise(
                 run = 0.0
                 if layers is not None:
                     run = _run(vertices[first], vertices[second], vertices[third], layers)
-                _raise_rows(out, first_row, last_row, (a, b, c), run, layers)
+                _raise_rows(out, first_row, last_row, (a, b, c), run, layers, highest)
 
 
 @compiled
@@ -84,6 +90,7 @@ def _raise_rows(
     corners: tuple[Point, Point, Point],
     run: float,
     layers: Float64 | None,
+    highest: float,
 ) -> None:
     """Raise the pixels over a triangle that faces upwards, in the rows that it covers."""
     rows, columns = out.shape
@@ -115,7 +122,7 @@ def _raise_rows(
             height = start + rise * step
             if layers is not None:
                 height += _layer_rise(height, run, layers)
-            if height > line[first + step]:
+            if line[first + step] < height <= highest:
                 line[first + step] = height
 
 

@@ -127,6 +127,13 @@ def test_bodies_behind_the_gel_are_not_felt():
     np.testing.assert_allclose(pressed.depth_m, sensor.gel_m - 0.001)
 
 
+def test_a_gel_inside_a_hollow_body_feels_the_wall_in_front():
+    tube = trimesh.creation.annulus(0.03, 0.034, 0.08)
+    faces_x = turned(0.0, -np.pi / 2, 0.0, position_m=(0.0305, 0.0, 0.0))
+    pressed = press_at(tube, pose(), faces_x, center_view(33, 33))
+    assert pressed.depth_m[16, 16] == pytest.approx(0.00425 - 0.0005, abs=5e-5)
+
+
 def test_a_gel_that_touches_nothing_is_at_rest():
     state = GelState(center_view(16, 16))
     assert (state.depth_m == state.sensor.gel_m).all()
