@@ -65,7 +65,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
     family = touch.sensor_family(schema.sensor_of(facts.schema, manifest))
-    contact_source = schema.ContactSource.of(types)
+    contact_sources = _contact_sources(facts)
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
@@ -80,9 +80,9 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template = kind if origin == "real" else origin
         content = _stored_content(facts, kind, types, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
-        content.columns.update(_extra_words(facts, types))
-        if contact_source.heights is not None:
-            heights.append(words["plates"][contact_source.heights.plate])
+        content.columns.update(_extra_words(facts))
+        plates = dict.fromkeys(source.heights.plate for source in contact_sources if source.heights)
+        heights += [words["plates"][plate] for plate in plates]
     tags = [tag.replace("$sensor_family", family) for tag in of_origin["tags"]]
     caption = "Some touches"
     if template == "seq":
@@ -106,12 +106,18 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **content.values,
             **({"made": words["made"]["unknown"]} if manifest is None else {}),
             "rounds": f"{facts.rows:,}",
-            "contact_rule": str(contact_source),
+            "contact_rule": "; or ".join(map(str, contact_sources)),
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
         cited=of_origin["cited"],
     ).write(folder, manifest, KIND, facts)
+
+
+def _contact_sources(facts: cards.FolderSummary) -> list[schema.ContactSource]:
+    """Return how contact of the touches is known; merged sets may differ."""
+    table = read.ShardedTable(tuple(shard for split in facts.splits for shard in split.shards))
+    return schema.ContactSource.of_files(table.schemas)
 
 
 def _limits(origin: str, of_origin: Sequence[str], content: _Content) -> list[str]:
@@ -180,7 +186,7 @@ def _stored_content(
     if "object_id" in types:
         objects = of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
     contact_source = schema.ContactSource.of(types)
-    if contact_source.is_stored:  # else all pictures would be decoded
+    if all(source.is_stored for source in _contact_sources(facts)):  # else all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     size, pictures = _seen(facts, kind)
     left_out = {} if manifest is None else manifest.split_table()
@@ -206,7 +212,7 @@ def _stored_content(
     )
 
 
-def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -> dict[str, tuple[str, str]]:
+def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
     """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
@@ -218,7 +224,7 @@ def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -
             elif statistics is None or statistics.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
-    names = schema.extra_columns(types)
+    names = schema.extra_columns(facts.schema.names)
     codes = [wording.markdown_code(name) for name in names]
     for code, stored in zip(codes, names.values(), strict=True):
         shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"

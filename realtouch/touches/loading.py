@@ -206,8 +206,7 @@ class Source:
     @property
     def contact_sources(self) -> list[ContactSource]:
         """How contact of the touches is known; merged sets may differ."""
-        stored = read.ShardedTable(tuple(self._files())).schemas
-        return list(dict.fromkeys(ContactSource.of(read.column_types(columns)) for columns in stored))
+        return ContactSource.of_files(read.ShardedTable(tuple(self._files())).schemas)
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -119,6 +119,11 @@ class ContactSource(NamedTuple):
         has_column = depth == 1 and (pa.types.is_boolean(leaf) or pa.types.is_integer(leaf))
         return cls(has_column, touch.HeightRule.of(types) if has_poses(types) else None)
 
+    @classmethod
+    def of_files(cls, schemas: Iterable[pa.Schema]) -> list[ContactSource]:
+        """Return how contact is known in files with these schemas; merged ones may differ."""
+        return list(dict.fromkeys(cls.of(read.column_types(stored)) for stored in schemas))
+
     @property
     def is_stored(self) -> bool:
         """Whether contact follows from stored values; if not, all pictures must be decoded."""
