@@ -19,6 +19,7 @@ from tactile_sim.press.elastic_press import MAX_SHARE, marker_positions_px
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Renderer, inverse_times
 from tactile_sim.press.sensors import Sensor, SensorModel, geometry_of
+from tactile_sim.user_values import finite_array
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.value_types import Float64, Int32, UInt8
@@ -89,7 +90,9 @@ class GelSensor:
         self.state = GelState(sensor, gel)
         self.optics = make_optics(optics) if isinstance(optics, str) else optics
         self.reaction = reaction
-        self.relaxation_s = relaxation_s
+        self.relaxation_s = float(finite_array(relaxation_s, "relaxation_s", (), "a time, seconds"))
+        if self.relaxation_s < 0.0:
+            raise InputError(f"is {relaxation_s:g}; expected at least 0, seconds", field="relaxation_s")
         try:
             self._site = model.site(site).id
             named_geoms = [model.geom(name).id for name in geoms or ()]

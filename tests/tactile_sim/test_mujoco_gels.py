@@ -331,6 +331,8 @@ def test_models_that_do_not_fit_are_refused():
         GelSensor(model, data, "gell")
     with pytest.raises(InputError, match=r"no such site or geom.*'ball'"):
         GelSensor(model, data, "gel", geoms=["bal"])
+    with pytest.raises(InputError, match="relaxation_s is -1"):
+        GelSensor(model, data, "gel", relaxation_s=-1.0)
     gel = GelSensor(model, data, "gel", SENSOR)
     mujoco.mj_forward(model, data)
     with pytest.raises(InputError, match="the integrator is RK4"):
