@@ -252,6 +252,8 @@ def calibrate(
     with sink.progress("calibrating", "steps") as update:
         model = tactile_sim.calibrate(recordings, name=out.name, start=start, on_progress=update)
     model.save(out, overwrite=overwrite)
+    for mistake in model.report["mistakes"][len(mistakes) :]:  # that only a fit finds
+        sink.warn(f"{mistake['kind']}: {mistake['detail']}")
     contents.print_sensor(sink, model)
     sink.line(f"{with_count(len(recordings), 'touches')} of {source}; the sensor is in {out}")
     sink.line(f"next: tactile-sim check {out} {source}")

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import run
 from tactile_toolkit.value_types import Float32, Float64
 
 NAMES = ("zz", "xx", "yy", "xy", "xz", "yz")
@@ -77,12 +78,10 @@ def layer_of(
     layer_m: float,
 ) -> Layer:
     """Return the tables of a layer; the arguments are those of :func:`pixel_kernels`."""
-    from threadpoolctl import threadpool_limits
-
     # A stencil reaches over three pixels, also in smaller windows.
     shape = (max(shape[0], 3), max(shape[1], 3))
-    # More threads of the linear algebra would keep spinning, and the last bits depend on their number.
-    with _making, threadpool_limits(1):
+    # The last bits depend on the number of threads.
+    with _making, run.one_blas_thread():
         kernels = pixel_kernels(shape, pixel_m, shear_pa, poisson_ratio, layer_m)
         stencils = np.array([_stencil(kernels[name]) for name in ("zz", "xx", "yy")], np.float32)
     lengths, spectra = transforms(kernels)

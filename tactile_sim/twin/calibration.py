@@ -11,28 +11,30 @@ import numpy as np
 
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
-from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
-from tactile_sim.twin.reader import read_depth, train_reader
+from tactile_sim.twin.reader import read_depth, train_reader, training_steps
 from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
 from tactile_sim.twin.sensor_health import detail_levels
 from tactile_sim.twin.twin import Twin, TwinOptics
+from tactile_toolkit import run
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Bool, Int64
 from tactile_toolkit.wording import with_count
 
-Progress = Callable[[int, int], None]
-
+_NAMED_LIGHT_DRIFT, _MAX_LIGHT_DRIFT = 0.01, 0.15  # of the gains of frames, root mean square
+_SURE_SCALE = 2.5  # standard deviations
 _MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
 
 
+@run.one_blas_thread()
 def calibrate(
     recordings: Recordings,
     *,
     name: str = "my-sensor",
     start: SensorModel = GELSIGHT_MINI,
-    on_progress: Progress | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> SensorModel:
     """Make the twin of a sensor from touches of known solids.
 
@@ -71,9 +73,12 @@ def calibrate(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
     unsaturated_shares = recordings.unsaturated_shares()
-    fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED))
-    rounds_of_fit.run_fit(fit, on_progress)
+    usable = np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED)
+    steps = Steps(on_progress, rounds_of_fit.STEPS + training_steps())
+    fit = _usable_fit(recordings, start, mistakes, usable, steps)
+    rounds_of_fit.run_fit(fit, steps)
     _require_explained(fit)
+    mistakes += [*_wandering_light(fit), *_other_size(fit)]
     report = {**rounds_of_fit.fit_report(fit), "mistakes": [asdict(mistake) for mistake in mistakes]}
     for touch in np.flatnonzero(unsaturated_shares < MIN_UNSATURATED).tolist():
         report["touches"].insert(touch, _saturated(recordings, touch, unsaturated_shares[touch]))
@@ -81,14 +86,14 @@ def calibrate(
     half_m = fit.half_m(shape)
     shape[: Fitted.LENS] = 0.0
     twin = Twin(shape, half_m, fit.coefficients.astype(np.float32), fit.background, {}, report)
-    twin = replace(twin, reader=train_reader(twin, fit))
+    twin = replace(twin, reader=train_reader(twin, fit, steps=steps))
     report["residual_levels"] = _residual_levels(twin, fit)
     report |= detail_levels(recordings.images)
     return model_of(twin, name)
 
 
 def _usable_fit(
-    recordings: Recordings, start: SensorModel, mistakes: Sequence[Mistake], usable: Int64
+    recordings: Recordings, start: SensorModel, mistakes: Sequence[Mistake], usable: Int64, steps: Steps
 ) -> Fit:
     """Return a fit, ready to run, to the touches whose numbers are ``usable``."""
     if len(usable) < MIN_TOUCHES:
@@ -100,7 +105,7 @@ def _usable_fit(
     part = recordings
     if len(usable) < len(recordings):  # else the choice would copy all images
         part = recordings.chosen(usable)
-    fit = _first_fit(part, start)
+    fit = _first_fit(part, start, steps)
     likely = fit.likely
     if likely.sum() < MIN_TOUCHES:
         raise InputError(
@@ -140,6 +145,36 @@ def _require_explained(fit: Fit) -> None:
         )
 
 
+def _wandering_light(fit: Fit) -> list[Mistake]:
+    """Return the mistake of a light that changes between frames; InputError if it changes too much."""
+    drift = fit.light_drift
+    if drift > _MAX_LIGHT_DRIFT:
+        raise InputError(
+            f"the light wanders by {drift:.1%} from frame to frame; expected at most {_MAX_LIGHT_DRIFT:.0%}",
+            next="switch off the automatic exposure and white balance of the camera, and record again",
+        )
+    if drift < _NAMED_LIGHT_DRIFT:
+        return []
+    detail = (
+        f"the light wanders by {drift:.1%} from frame to frame, which the twin corrects; better switch off "
+        "the automatic exposure and white balance of the camera"
+    )
+    return [Mistake("light", detail, drift)]
+
+
+def _other_size(fit: Fit) -> list[Mistake]:
+    """Rescale a fit to solids that are not as large as their meshes, and return this mistake."""
+    scale, deviation = rounds_of_fit.solid_scale(fit)
+    if abs(scale - 1) < _SURE_SCALE * deviation:
+        return []
+    fit.rescale(scale)
+    detail = (
+        f"the touched solids are {abs(scale - 1):.1%} {'smaller' if scale < 1 else 'larger'} than their "
+        f"meshes (within {deviation:.1%}): lengths refer to the solids as they are"
+    )
+    return [Mistake("scale", detail, scale)]
+
+
 def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
     """Return which of the touches are of one gel: if the gel changed, of the one with more touches."""
     chosen = np.ones(len(touches), bool)
@@ -155,7 +190,7 @@ def model_of(twin: Twin, name: str) -> SensorModel:
     return SensorModel(name, **twin.geometry, source="tactile-sim calibrate", twin=twin)
 
 
-def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
+def _first_fit(recordings: Recordings, start: SensorModel, steps: Steps) -> Fit:
     """Return a fit that starts from the stated poses; from matched ones if these are missing or far off."""
     poses = recordings.poses_on_solids()
     if poses is not None:
@@ -163,7 +198,7 @@ def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
         stated = partial(rounds_of_fit.start_fit, recordings, poses, recordings.sensor_m[:, 2], start)
         if not matching.are_off(stated()):
             return stated()
-    matched, likely = matching.matched_poses(recordings, start, poses)
+    matched, likely = matching.matched_poses(recordings, start, poses, steps)
     fit = rounds_of_fit.start_fit(recordings, matched[:, :3], None, start)
     for touch, at in enumerate(matched):
         matching.set_pose(fit, touch, at)

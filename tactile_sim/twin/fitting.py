@@ -9,7 +9,7 @@ out the blur of the camera. This shortens their steps and does not change where 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,9 +17,11 @@ import scipy
 
 from tactile_sim.twin import gel, gel_kernels
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.recordings import unsaturated
+from tactile_sim.twin.recordings import frame_gains, unsaturated
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tactile_sim.twin.recordings import Recordings, Relief
     from tactile_toolkit.value_types import Bool, Float32, Float64
 
@@ -27,8 +29,8 @@ COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives, and expected deviations from the guess.
-_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
-_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
+_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0])
+_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 15.0])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
 _HUBER = 3.0  # residuals beyond this multiple of the noise weigh less: dust, layer lines, shadows
@@ -38,6 +40,13 @@ _TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
+_NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
+MIN_DRIFT = 0.006
+"""Root mean square of the gains of frames, less 1, below which all of them count as 1."""
+
+FIRST_DRIFT = 0.015
+"""The same before the first step, when a gel that is pulled down all around a contact looks like light."""
+
 ALIKE_PX = 200.0
 """Number of pixels whose residuals are correlated, so that they count as one."""
 
@@ -62,6 +71,21 @@ def _penalty(depth_cost: float) -> Float64:
     cost = np.kron(around.T @ around, np.eye(2 * steps))
     cost += np.kron(directions, along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
     return np.asarray(np.kron(cost, np.diag(_TERM_COST)))
+
+
+@dataclass(slots=True)
+class Steps:
+    """Progress of a calibration: ``done`` of ``total`` steps, which take about as long as each other."""
+
+    on_progress: Callable[[int, int], None] | None = None
+    total: int = 0
+    done: int = 0
+
+    def advance(self, count: int = 1) -> None:
+        """Report that some more steps are done."""
+        self.done += count
+        if self.on_progress is not None:
+            self.on_progress(self.done, self.total)
 
 
 @dataclass(eq=False)
@@ -96,6 +120,7 @@ class Fit:
         self.likely, self.used = np.ones(count, bool), np.ones(count, bool)
         self.rms = np.full(count, np.nan)
         self.robust_std = np.zeros(count)
+        self.gains = np.ones((count, 3))
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
         self.penalise(shadows=True)
@@ -114,10 +139,28 @@ class Fit:
         self.noise = _FIRST_NOISE
 
     def image(self, touch: int) -> tuple[Float32, Bool]:
-        """Return an image in the current size, levels, and a mask of the pixels that are not saturated."""
+        """Return an image in the current size, levels, and a mask of the pixels that are not saturated.
+
+        The image is divided by the gains of its frame.
+        """
         image = self.recordings.images[touch]
         mask = unsaturated(image).astype(np.float32)
-        return shrunk(image.astype(np.float32), self.shrink), shrunk(mask, self.shrink) > 0.99
+        levels = shrunk(image.astype(np.float32), self.shrink) / self.gains[touch].astype(np.float32)
+        return levels, shrunk(mask, self.shrink) > 0.99
+
+    def refresh_gains(self, least: float = MIN_DRIFT) -> None:
+        """Fit the gains of each frame to the background and the rendered changes; below ``least``, none."""
+        for touch in range(len(self.poses)):
+            expected = self.behind + self.rendered(touch, self.poses[touch], self.shape)
+            image, _ = self.image(touch)
+            self.gains[touch] *= frame_gains(image, expected, min(self.noise, _NOISE_OF_GAINS))
+        if self.light_drift < least:
+            self.gains[:] = 1.0
+
+    @property
+    def light_drift(self) -> float:
+        """Root mean square of how far the gains of the frames are from 1."""
+        return float(np.sqrt(np.mean((self.gains - 1) ** 2)))
 
     def change(self, touch: int) -> float:
         """Return how much an image differs from the gel at rest: RMS, levels."""
@@ -133,31 +176,30 @@ class Fit:
         return 2 * self.half_m(shape) / self.size[::-1]
 
     def indentation(self, touch: int, pose: Float64, shape: Float64, margin: int = 0) -> Float64:
-        """Return how far the solid reaches into the gel at rest, metres, in the current size of the images.
+        """Return how far the solid reaches into the gel at rest, metres, (H, W), in the size of the images.
 
-        Without a margin, the map (H, W) is seen through the lens. With a margin, it is not, and has so many
-        pixels more on each side.
+        The map is not seen through the lens, and has ``margin`` pixels more on each side.
         """
-        half = self.half_m(shape)
+        size = tuple(side + 2 * margin for side in self.size)
+        span = np.array(size[::-1]) / self.size[::-1]
         relief = self.reliefs[int(self.recordings.object_ids[touch])]
-        cosine = np.cos(pose[2])
-        sine = np.sin(pose[2])
-        affine = np.array(
-            [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
-        )
-        out = np.empty(tuple(side + 2 * margin for side in self.size))
-        span = np.array(out.shape[::-1]) / self.size[::-1]
         level_m = self.level_m[touch] - shape[Fitted.GEL] - pose[3]
-        gel_kernels.sample_relief(
-            out,
-            relief.heights_m,
-            relief.corner,
-            affine,
-            span,
-            0.0 if margin else shape[Fitted.LENS],
-            level_m,
-        )
-        return out
+        return relief.sampled(pose, self.half_m(shape), size, span, level_m)
+
+    def press_m(self, touch: int) -> float:
+        """Return how far the highest point of the solid inside the image reaches into the gel, metres."""
+        return float(self.indentation(touch, self.poses[touch], self.shape).max())
+
+    def set_press(self, touch: int, press_m: float) -> None:
+        """Set the height of the sensor so that a touch has this press depth, metres."""
+        self.level_m[touch] = self.shape[Fitted.GEL] + self.poses[touch, 3]  # nothing lies below this level
+        self.level_m[touch] += self.press_m(touch) - press_m
+
+    def seen_depth_m(self, touch: int) -> Float32:
+        """Return how far the solid reaches into the gel at rest, metres, (H, W), as the camera sees it."""
+        margin = gel.margin_px(self.size[1])
+        reach_m = self.indentation(touch, self.poses[touch], self.shape, margin)
+        return -gel.seen_through(-reach_m, self.pitch_m(self.shape), self.shape, margin)
 
     def surface(self, touch: int, pose: Float64, shape: Float64) -> Float32:
         """Return the surface of the gel at a touch, (H, W), metres."""
@@ -241,6 +283,20 @@ class Fit:
         sums.add(features, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px)
         return _weighted_square(residuals, weights)
 
+    def rescale(self, scale: float) -> None:
+        """Multiply all lengths by a factor, which leaves the rendered images as they are."""
+        beyond_gel_m = self.level_m - self.shape[Fitted.GEL]
+        self.shape[Fitted.GEL : Fitted.CONTACT] *= scale
+        self.shape[Fitted.BLUR] *= scale
+        self.shape[Fitted.CAMERA] /= scale
+        self.level_m = scale * beyond_gel_m + self.shape[Fitted.GEL]
+        self.guess_m = self.guess_m * scale
+        self.poses = self.poses * [scale, scale, 1.0, scale]
+        for key, relief in self.reliefs.items():
+            self.reliefs[key] = replace(
+                relief, heights_m=relief.heights_m * np.float32(scale), corner=relief.corner * scale
+            )
+
     def refresh_background(self) -> None:
         """Average the images without contact and the touches less their rendered change, in full size."""
         assert self.shrink == 1, "the background has the size of the images"
@@ -275,7 +331,7 @@ class Fit:
         errors = []
         for ridge in RIDGES:
             cost = ridge * train.scale * self.penalty
-            factor = scipy.linalg.cho_factor(train.full() + cost, lower=True, check_finite=False)
+            factor = scipy.linalg.cho_factor(train.normal + cost, lower=True, check_finite=False)
             change = scipy.linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
             errors.append(
                 np.sum(change * (held_out.full() @ change)) - 2 * np.sum(change * held_out.products[:, 0])
@@ -332,7 +388,7 @@ class _Sums:
         """Update the response of a fit, and return the moves of its geometry and poses."""
         penalty = fit.ridge * self.scale * fit.penalty
         before = fit.coefficients.reshape(COEFFICIENTS, 3)
-        factor = scipy.linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
+        factor = scipy.linalg.cho_factor(self.normal + penalty, lower=True, check_finite=False)
         right = self.products
         right[:, 0] -= penalty @ before
         solved = scipy.linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(

@@ -30,8 +30,8 @@ _CAMERA_REACH = 3.0
 _MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
-LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
-MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
+LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0])
+MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0])
 """Least and greatest values of a geometry."""
 
 WHOLE = np.ones(2)
@@ -47,7 +47,8 @@ class Fitted(IntEnum):
     ``WIDE`` and ``HIGH`` are the logarithms of the sides of the image over those of the first guess, ``LENS``
     is the radial term of the lens, ``GEL`` the thickness of the gel, ``WIDTH`` the greatest width of its blur
     and ``LAST`` the last one, metres; ``CONTACT`` is the share of the press depth from which the solid is in
-    contact, ``BLUR`` the blur of the camera, metres on the gel.
+    contact, ``BLUR`` the blur of the camera, metres on the gel, and ``CAMERA`` one over the distance of the
+    camera from the gel, 1 / metres.
     """
 
     WIDE = 0
@@ -58,6 +59,12 @@ class Fitted(IntEnum):
     LAST = 5
     CONTACT = 6
     BLUR = 7
+    CAMERA = 8
+
+
+def unbent(shape: Float64) -> Float64:
+    """Return a geometry without lens and perspective, for maps that are already seen through them."""
+    return np.where(np.isin(np.arange(len(shape)), (Fitted.LENS, Fitted.CAMERA)), 0.0, shape)
 
 
 def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:
@@ -97,7 +104,7 @@ def gel_surface(
     share = float(shape[Fitted.CONTACT])
     edge_m = _EDGE * float(pitch_m[0])
     soft = surface_kernels.press_gel(indentation_m, margin, blurs, tuple(reversed(insets)), share, edge_m)
-    return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
+    return seen_through(soft, pitch_m, shape, margin, span)
 
 
 def own_surface(
@@ -110,19 +117,22 @@ def own_surface(
     """
     soft = np.asarray(-pressed_m, np.float32, order="C")
     surface_kernels.soften(soft, soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape), 0)
-    return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
+    return seen_through(soft, pitch_m, shape, margin, span)
 
 
 def seen_through(
-    surface: Floating, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
+    surface: Floating, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
 ) -> Float32:
-    """Return a map with a margin as it is seen through the lens, without the margin."""
-    if not lens:
+    """Return heights with a margin, metres, as the camera sees them through the lens, without the margin."""
+    lens = float(shape[Fitted.LENS])
+    camera = float(shape[Fitted.CAMERA])
+    if not lens and not camera:
         return np.ascontiguousarray(
             surface[margin : len(surface) - margin, margin : surface.shape[1] - margin]
         )
     out = np.empty(tuple(side - 2 * margin for side in surface.shape), np.float32)
-    surface_kernels.bend_surface(out, surface, span, margin, lens, _across_of(pitch_m, out.shape, span))
+    across = _across_of(pitch_m, out.shape, span)
+    surface_kernels.bend_surface(out, surface, span, margin, lens, camera, across)
     return out
 
 
@@ -162,7 +172,8 @@ def view_of(
     rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _MIN_RIM_M)
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, soft.shape, span)
-    return gel_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
+    lens, camera = shape[[Fitted.LENS, Fitted.CAMERA]].tolist()
+    return gel_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, rim_m)
 
 
 def surface_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Features:

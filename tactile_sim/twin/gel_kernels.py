@@ -28,6 +28,9 @@ DEEPEST = 9 / 7
 _LEVEL = 1e-5
 """Slope below which the gel counts as at rest, as in Taxim."""
 
+_NEAREST = 0.2
+"""Least stretch of a seen map: where it is smaller, one part of the gel hides another one."""
+
 _BOW = 0.273  # atan(ratio) is ratio * (pi / 4 + _BOW (1 - ratio)) within 0.004 for ratios up to 1
 
 TERMS = 6
@@ -50,8 +53,8 @@ class SurfaceView(NamedTuple):
     """How a surface is seen.
 
     The fields are the size of a pixel, metres; the share of the image that is shown, along x and y; the
-    radial term of the lens; the squared width of the image over its squared diagonal; and the depth at which
-    the contact begins, metres.
+    radial term of the lens; the squared width of the image over its squared diagonal; one over the distance
+    of the camera, 1 / metres; and the depth at which the contact begins, metres.
     """
 
     pitch_x: float
@@ -60,34 +63,29 @@ class SurfaceView(NamedTuple):
     span_y: float
     lens: float
     across: float
+    camera: float
     rim: float
 
 
 @compiled
 def sample_relief(
-    out: Float64, relief: Float32, corner: Float64, affine: Float64, span: Float64, lens: float, level: float
+    out: Float64, relief: Float32, corner: Float64, affine: Float64, span: Float64, level: float
 ) -> None:
     """Write how far a relief rises above a level, 0 where it does not.
 
     ``out``, shape (H, W), first row at the greatest y; ``relief``, shape (rows, columns), heights in metres,
     first row at the least y, with the values of its edge repeated outside; ``corner`` x and y of its first
     point and the distances of its points along x and y, metres. Pixels lie at -1 to 1 across the image, times
-    ``span``, which is less than 1 for a part of it and more with a margin, with y upwards. ``lens`` is the
-    radial term of the lens: at the corners of the image, positions are farther out by this share. ``affine``,
-    shape (2, 3), maps a position to x and y.
+    ``span``, which is less than 1 for a part of it and more with a margin, with y upwards. ``affine``, shape
+    (2, 3), maps a position to x and y.
     """
     rows, columns = out.shape
     high, wide = relief.shape
     per_x, per_y = 1.0 / corner[2], 1.0 / corner[3]
-    across = affine[0, 0] * affine[0, 0] + affine[1, 0] * affine[1, 0]
-    down = affine[0, 1] * affine[0, 1] + affine[1, 1] * affine[1, 1]
-    across, down = across / (across + down), down / (across + down)
     for row in range(rows):
-        v0 = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
         for column in range(columns):
-            u0 = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
-            bend = 1.0 + lens * (across * u0 * u0 + down * v0 * v0)
-            u, v = u0 * bend, v0 * bend
+            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
             x = (affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - corner[0]) * per_x
             y = (affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - corner[1]) * per_y
             x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
@@ -133,7 +131,7 @@ def _turn(x: np.float32, y: np.float32) -> np.float32:
 def _row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
     """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
 
-    Directions are -1 where the gel is at rest. Slopes are those on the gel, not those seen through the lens.
+    Directions are -1 where the gel is at rest. Slopes are those on the gel, not those that the camera sees.
     Single precision and no branches: several pixels are computed at once.
     """
     rows, columns = soft.shape
@@ -152,7 +150,10 @@ def _row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceVie
     across = np.float32(view.across)
     down = np.float32(1.0 - view.across)
     both = np.float32(math.sqrt(view.across * (1.0 - view.across)))
-    lens = np.float32(view.lens)
+    lens, camera = np.float32(view.lens), np.float32(view.camera)
+    from_left, width = np.float32(0.5 - 0.5 * columns), np.float32(view.pitch_x)
+    up = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
+    nearest = np.float32(_NEAREST)
     turns, steeps, deeps = positions[0], positions[1], positions[2]
     for column in range(1, columns - 1):
         steeps[column] = (line[column + 1] - line[column - 1]) * per_x
@@ -167,6 +168,10 @@ def _row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceVie
         xy = two * lens * both * u * v
         per_area = unit / (xx * yy - xy * xy)
         x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
+        # A point at (1 + height / distance) p is seen at p.
+        stretch = unit + camera * (line[column] + bend * (width * (column + from_left) * x + up * y))
+        stretch = unit / (stretch if stretch > nearest else nearest)
+        x, y = x * stretch, y * stretch
         square = x * x + y * y
         turn = _turn(x, y)
         turns[column] = turn if square > least else -unit
@@ -211,9 +216,9 @@ def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) 
 
 
 @compiled
-def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> None:
-    x = span[0] * ((2.0 * (at % columns) + 1.0) / columns - 1.0)
-    y = span[1] * (1.0 - (2.0 * (at // columns) + 1.0) / rows)
+def _terms(terms: Float64, at: int, rows: int, columns: int) -> None:
+    x = (2.0 * (at % columns) + 1.0) / columns - 1.0
+    y = 1.0 - (2.0 * (at // columns) + 1.0) / rows
     terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = 1.0, x, y, x * x, x * y, y * y
 
 
@@ -223,14 +228,13 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
     rows, columns = weights.shape
     terms = np.empty(TERMS)
     count = ACTIVE * TERMS
-    span = np.ones(2)
     values = np.empty(count)
     unknowns = np.empty(count, np.int64)
     for at in range(len(entries)):
         weight = weights[at // columns, at % columns]
         if weight <= 0.0 or not shares[at].any():
             continue
-        _terms(terms, at, rows, columns, span)
+        _terms(terms, at, rows, columns)
         # In the order of the entries: the direction after the last one is the first.
         begin = 0 if entries[at, 0] <= entries[at, ACTIVE // 2] else ACTIVE // 2
         for number in range(ACTIVE):
@@ -250,12 +254,11 @@ def add_products(out: Float64, entries: Int64, shares: Float32, values: Float32)
     """Add the products of features and given columns (H, W, m) to ``out`` (coefficients, m)."""
     rows, columns, many = values.shape
     terms = np.empty(TERMS)
-    span = np.ones(2)
     for at in range(len(entries)):
         line = values[at // columns, at % columns]
         if not shares[at].any():
             continue
-        _terms(terms, at, rows, columns, span)
+        _terms(terms, at, rows, columns)
         for k in range(ACTIVE):
             for term in range(TERMS):
                 share = shares[at, k] * terms[term]

@@ -17,7 +17,7 @@ import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel
-from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.pose_search import (
     Paint,
@@ -36,6 +36,7 @@ _HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and colours
 _COLOUR_STEPS = 6
 _RIDGE_OF_COLOURS = 0.03
 _PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # of each round, as fractions of the usual press depth
+_STEPS = 15  # of progress
 _SEEDS = 5  # touches to which the first twin is fitted
 # Unexplained share of the change of an image: 0.15 to 0.3 if poses are off by 0.5 mm, 0.5 if by 1 mm.
 _MAX_UNEXPLAINED = 0.4
@@ -46,6 +47,7 @@ _GEOMETRY = (
     Fitted.LENS,
     Fitted.WIDTH,
     Fitted.CONTACT,
+    Fitted.CAMERA,
 )
 _FIRST_PRESS = 0.9  # press depth that is tried first, as a fraction of the usual one
 _RIDGES = (0.1, 0.03, 0.01)  # of each round: a high ridge extends what few touches show
@@ -105,13 +107,15 @@ def are_off(fit: Fit) -> bool:
 
 
 def matched_poses(
-    recordings: Recordings, start: SensorModel, near: Float64 | None = None
+    recordings: Recordings, start: SensorModel, near: Float64 | None = None, steps: Steps | None = None
 ) -> tuple[Float64, Bool]:
     """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,).
 
     ``near`` (N, 3) are stated points and turns, which may be off by up to 5 mm and 17 degrees; with them, all
-    touches count as likely.
+    touches count as likely. ``steps`` gets more steps for the search.
     """
+    steps = steps or Steps()
+    steps.total += _STEPS
     count = len(recordings)
     fit = start_fit(recordings, np.zeros((count, 3)), None, start)
     press_m = start.gel_mm / 1e3 - start.press_m
@@ -129,6 +133,7 @@ def matched_poses(
     likely = np.isin(np.arange(count), np.argsort(-margins)[:_SEEDS])
     refined: dict[int, _Refined] = {}
     for shares, fit.ridge in zip(_PRESSES, _RIDGES, strict=True):
+        steps.advance(_STEPS // len(_PRESSES))
         _learn(fit, best, likely)
         sure = [touch for touch, result in refined.items() if likely[touch] and result.stands_out >= _SURE]
         open_ = [touch for touch in range(count) if touch not in sure]
@@ -211,10 +216,7 @@ def _common_colours(matches: list[PoseMatches]) -> Float64:
 def set_pose(fit: Fit, touch: int, at: Float64) -> None:
     """Put a touch at a pose (x, y, turn, press depth)."""
     fit.poses[touch] = *at[:3], 0.0
-    # With this level, the indentation is the height of the relief above the plate.
-    fit.level_m[touch] = fit.shape[Fitted.GEL]
-    highest_m = fit.indentation(touch, fit.poses[touch], fit.shape).max()
-    fit.level_m[touch] = highest_m - at[3] + fit.shape[Fitted.GEL]
+    fit.set_press(touch, float(at[3]))
 
 
 def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
@@ -229,18 +231,14 @@ def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
         fit.step(_GEOMETRY)
     fit.step()
     for touch in np.flatnonzero(likely).tolist():
-        at[touch] = *fit.poses[touch, :3], _press_m(fit, touch)
-
-
-def _press_m(fit: Fit, touch: int) -> float:
-    return float(fit.indentation(touch, fit.poses[touch], fit.shape).max())
+        at[touch] = *fit.poses[touch, :3], fit.press_m(touch)
 
 
 def _paint_of(fit: Fit) -> Paint:
     """Return a function that colours a surface by the response of the fit, alike all over the image."""
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
-    shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
+    shape = gel.unbent(fit.shape)
     table = gel.response_table(coefficients)
 
     def paint(surface: Float32, pitch_m: Float64) -> Float32:
@@ -267,7 +265,7 @@ def _refined(fit: Fit, touch: int, poses: Float64, good: int, steps: int) -> _Re
     at = np.empty((len(tried), 4))
     for rank, (_, pose, level_m) in enumerate(tried):
         fit.poses[touch], fit.level_m[touch] = pose, level_m
-        at[rank] = *pose[:3], _press_m(fit, touch)
+        at[rank] = *pose[:3], fit.press_m(touch)
     errors = [*(candidate[0] for candidate in tried), np.inf]
     return _Refined(at, errors[0], errors[1], float(np.sqrt(np.mean(change * change))))
 

@@ -15,7 +15,6 @@ import numpy as np
 import scipy
 
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
-from tactile_sim.twin import gel_kernels
 from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief
 from tactile_toolkit.value_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.wording import with_count
@@ -64,7 +63,8 @@ class Mistake:
     ----------
     kind : str
         A stable word: ``"channels"``, ``"mesh"``, ``"units"``, ``"mirrored"``, ``"markers"``,
-        ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``.
+        ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``, ``"light"``,
+        ``"scale"``.
     detail : str
         A sentence that states the mistake and the measured value.
     figure : float
@@ -81,7 +81,7 @@ class Mistake:
     @property
     def is_fatal(self) -> bool:
         """Whether no fit is possible; if the gel changed, the one with more touches is fitted."""
-        return self.kind not in ("saturated", "markers", "gel-changed")
+        return self.kind not in ("saturated", "markers", "gel-changed", "light", "scale")
 
     def __str__(self) -> str:
         return self.detail
@@ -310,14 +310,7 @@ class _Comparison:
         return best
 
     def _slopes(self, relief: Relief, pose: Float64) -> Float64:
-        cosine = np.cos(pose[2])
-        sine = np.sin(pose[2])
-        half = self.half_m
-        affine = np.array(
-            [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
-        )
-        heights = np.empty(self.size)
-        gel_kernels.sample_relief(heights, relief.heights_m, relief.corner, affine, np.ones(2), 0.0, 0.0)
+        heights = relief.sampled(pose, self.half_m, self.size)
         pressed = np.maximum(heights - (heights.max() - self.press_m), 0.0)
         down, right = np.gradient(_blurred(pressed[None], self.sigma_px)[0])
         return np.asarray(_centred(np.hypot(down, right)[None])[0])

@@ -225,7 +225,7 @@ def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
     half_x = columns // 2
     # Rows of an image go down.
     down, right = np.mgrid[-half_y : half_y + 1, -half_x : half_x + 1] * pitch_m[::-1, None, None]
-    shape = np.where(np.arange(len(fit.shape)) == gel.Fitted.LENS, 0.0, fit.shape)
+    shape = gel.unbent(fit.shape)
     for turn in np.arange(TURNS) * (2 * np.pi / TURNS):
         cosine = np.cos(turn)
         sine = np.sin(turn)

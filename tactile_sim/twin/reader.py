@@ -18,14 +18,13 @@ from tactile_sim.optics.rendering import in_size_of
 from tactile_sim.optics.taxim_kernels import blur
 from tactile_sim.press.sensors import DepthReading
 from tactile_sim.twin import gel
-from tactile_sim.twin.fitting import Fit, shrunk
-from tactile_sim.twin.gel_kernels import sample_relief
-from tactile_sim.twin.recordings import Relief
+from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps, shrunk
+from tactile_sim.twin.recordings import Relief, frame_gains
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
 from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
 
 _LEAK = np.float32(0.1)
-_RATE, _BATCH = 5e-3, 4096
+_RATE, _BATCH = 5e-3, 2048
 _MAX_ROWS = 100_000  # about as many give the mean and the spread of inputs
 _DECAYS = (0.9, 0.999)  # of Adam, as published (Kingma and Ba, 2015)
 _BLOCK = 1 << 14  # rows that fit into the processor's cache
@@ -33,6 +32,7 @@ _WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
 _TOUCHES = 480  # that are rendered for the training of the networks
 _PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
 _SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
+_BATCHES_OF_A_STEP = 200  # of progress, about as long as a step of a fit
 _SLOPE_HIDDEN = (24, 24)
 _DEPTH_HIDDEN = (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
@@ -58,15 +58,15 @@ def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -
 
 
 def train_network(
-    name: str,
     inputs: Float32,
     targets: Float32,
     widths: tuple[int, ...],
     loss_gradient: Callable[[Float32, Float32], Float32],
     rng: np.random.Generator,
-    steps: int,
+    count: int,
+    steps: Steps,
 ) -> dict[str, Float32]:
-    """Train a network by Adam; ``widths`` are those of its layers after the inputs.
+    """Train a network by ``count`` batches with Adam; ``widths`` are those of its layers after the inputs.
 
     ``loss_gradient`` takes outputs and targets to the derivative by outputs.
     """
@@ -75,7 +75,7 @@ def train_network(
     mean = sample.mean(axis=0)
     scale = 1 / (sample.std(axis=0) + np.float32(1e-6))
     sizes = (inputs.shape[1], *widths)
-    weights: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
+    weights: dict[str, Float32] = {"mean": mean, "scale": scale}
     layers: list[Float32] = []
     for wide, narrow in pairwise(sizes):
         layers += [
@@ -84,18 +84,20 @@ def train_network(
         ]
     layers[-2] *= np.float32(0.1)
     first, second = ([np.zeros_like(layer) for layer in layers] for _ in range(2))
-    for step in range(steps):
+    for step in range(count):
+        if step % _BATCHES_OF_A_STEP == 0:
+            steps.advance()
         rows = rng.integers(len(inputs), size=_BATCH)
         gradients = _gradients(layers, (inputs[rows] - mean) * scale, targets[rows], loss_gradient)
         # Cosine decay, from the full rate to 0.
-        rate = _RATE * 0.5 * (1 + np.cos(np.pi * step / steps))
+        rate = _RATE * 0.5 * (1 + np.cos(np.pi * step / count))
         rate *= np.sqrt(1 - _DECAYS[1] ** (step + 1)) / (1 - _DECAYS[0] ** (step + 1))
         for layer, gradient, mean_gradient, mean_square in zip(layers, gradients, first, second, strict=True):
             mean_gradient += (1 - _DECAYS[0]) * (gradient - mean_gradient)
             mean_square += (1 - _DECAYS[1]) * (gradient * gradient - mean_square)
             layer -= np.float32(rate) * mean_gradient / (np.sqrt(mean_square) + np.float32(1e-8))
     for number in range(len(layers) // 2):
-        weights[f"{name}_w{number}"], weights[f"{name}_b{number}"] = layers[2 * number : 2 * number + 2]
+        weights[f"w{number}"], weights[f"b{number}"] = layers[2 * number : 2 * number + 2]
     return {key: np.asarray(array, np.float32) for key, array in weights.items()}
 
 
@@ -148,7 +150,10 @@ def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading
     depths = []
     errors = []
     for image in in_size_of(twin.size_px, images):
-        change = shrunk(image.astype(np.float32), shrink) - background
+        levels = shrunk(image.astype(np.float32), shrink)
+        if twin.report.get("light_drift", 0) >= MIN_DRIFT:
+            levels /= frame_gains(levels, background, twin.report["noise_levels"]).astype(np.float32)
+        change = levels - background
         depth_mm, error_mm = _read(twin.reader, mode, change)
         depths.append(depth_mm)
         errors.append(error_mm)
@@ -231,9 +236,14 @@ def integrated(slopes: Float32) -> Float32:
     return np.asarray(scipy.fft.idctn(turned, norm="ortho"), np.float32)
 
 
-def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
+def training_steps() -> int:
+    """Return the steps of progress of :func:`train_reader`."""
+    return len(_WIDTHS) * sum(-(-count // _BATCHES_OF_A_STEP) for count in (_SLOPE_STEPS, _DEPTH_STEPS))
+
+
+def train_reader(twin: Twin, fit: Fit, steps: Steps) -> dict[str, Float32]:
     """Return the weights of the networks of a twin."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     samples: dict[str, list[_Sample]] = {mode: [] for mode in _WIDTHS}
     for image, depth_mm, weight in _samples(twin, fit, rng):
         for mode, kept in samples.items():
@@ -245,7 +255,7 @@ def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
             kept.append(_Sample(change, pixels, slopes[pixels], depth.reshape(-1, 1)[pixels]))
     weights: dict[str, Float32] = {}
     for mode, kept in samples.items():
-        weights |= _trained(mode, kept, rng)
+        weights |= _trained(mode, kept, rng, steps)
     return weights
 
 
@@ -258,27 +268,27 @@ class _Sample(NamedTuple):
     depth_mm: Float32
 
 
-def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dict[str, Float32]:
+def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator, steps: Steps) -> dict[str, Float32]:
     """Train both networks of a mode: slopes first, then depth from what the first one finds."""
     # Colours of all pixels at once would take four times the memory of the images.
     inputs = np.concatenate([_colours(sample.change)[sample.pixels] for sample in samples])
     targets = np.concatenate([sample.slopes for sample in samples])
-    name = f"{mode}_slope"
-    reader = train_network(name, inputs, targets, (*_SLOPE_HIDDEN, 2), _slope_gradient, rng, _SLOPE_STEPS)
+    widths = (*_SLOPE_HIDDEN, 2)
+    slope = train_network(inputs, targets, widths, _slope_gradient, rng, _SLOPE_STEPS, steps)
+    reader = {f"{mode}_slope_{key}": array for key, array in slope.items()}
     first = 0
     targets = np.concatenate([sample.depth_mm for sample in samples])
     for sample in samples:
         colours = _colours(sample.change)
-        slopes = network_output(reader, name, colours).reshape(*sample.change.shape[:2], 2)
+        slopes = network_output(reader, f"{mode}_slope", colours).reshape(*sample.change.shape[:2], 2)
         part = _surroundings(colours, slopes)[sample.pixels]
         if not first:  # in place: parts and the whole would take twice the memory
             inputs = np.empty((len(targets), part.shape[1]), np.float32)
         inputs[first : first + len(part)] = part
         first += len(part)
-    name = f"{mode}_depth"
-    return reader | train_network(
-        name, inputs, targets, (*_DEPTH_HIDDEN, 2), _depth_gradient, rng, _DEPTH_STEPS
-    )
+    widths = (*_DEPTH_HIDDEN, 2)
+    depth = train_network(inputs, targets, widths, _depth_gradient, rng, _DEPTH_STEPS, steps)
+    return reader | {f"{mode}_depth_{key}": array for key, array in depth.items()}
 
 
 def _slope_gradient(outputs: Float32, targets: Float32) -> Float32:
@@ -298,9 +308,7 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     """Return the slopes of the gel, mm per pixel along x and y upwards, shape (H, W, 2)."""
     rows, columns = depth_mm.shape
     pitch_m = 2 * twin.half_m / [columns, rows]
-    shape = twin.shape.copy()
-    shape[gel.Fitted.LENS] = 0.0  # the depth is already seen through it
-    soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
+    soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, gel.unbent(twin.shape))
     down, across = np.gradient(soft)
     return np.stack([across, -down], axis=-1).astype(np.float32)
 
@@ -310,9 +318,9 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[F
     presses = []
     residuals = []
     for touch in np.flatnonzero(fit.used).tolist():
-        depth_m = fit.indentation(touch, fit.poses[touch], fit.shape)
+        depth_m = fit.seen_depth_m(touch)
         presses.append(float(depth_m.max()))
-        image = fit.recordings.images[touch].astype(np.float32)
+        image, _ = fit.image(touch)
         yield image, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
         residuals.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
     optics = TwinOptics(twin)
@@ -324,7 +332,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[F
         margin = gel.margin_px(twin.size_px[0])
         reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
-        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[gel.Fitted.LENS]), margin)
+        reach_m = -gel.seen_through(-reach_m, twin.pitch_m, twin.shape, margin)
         # Residuals of recordings: the noise of the sensor, and effects that the twin does not render.
         noise = residuals[number % len(residuals)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
@@ -341,16 +349,9 @@ def _pressed(
     middle_m = corner[:2] + [columns[chosen], rows[chosen]] * corner[2:] + rng.normal(0, 2e-3, 2)
     turn = rng.uniform(0, 2 * np.pi)
     scale = rng.uniform(0.75, 1.3, 2) * [rng.choice([-1, 1]), 1]
-    cosine = np.cos(turn)
-    sine = np.sin(turn)
-    half = twin.half_m * scale
-    affine = np.array(
-        [[cosine * half[0], -sine * half[1], middle_m[0]], [sine * half[0], cosine * half[1], middle_m[1]]]
-    )
     size = np.array(twin.size_px)
-    out = np.empty(tuple((size + 2 * margin)[::-1]))
-    span = (size + 2 * margin) / size
-    sample_relief(out, relief.heights_m, corner, affine, span, 0.0, 0.0)
+    sides = tuple((size + 2 * margin)[::-1])
+    out = relief.sampled(np.array([*middle_m, turn]), twin.half_m * scale, sides, (size + 2 * margin) / size)
     press_m = rng.uniform(0.7 * min(presses), 1.15 * max(presses))
     return np.asarray(np.maximum(out - (out[margin:-margin, margin:-margin].max() - press_m), 0))
 

@@ -10,18 +10,22 @@ import numpy as np
 from tactile_sim.optics.rendering import require_images
 from tactile_sim.press.press_kernels import rasterise
 from tactile_sim.press.pressable import Pressable
+from tactile_sim.twin import gel_kernels
+from tactile_sim.twin.gel import WHOLE
 from tactile_sim.user_values import real_array, shown
 from tactile_toolkit import checked_fields
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
-from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Floating, Int64, UInt8
 
 _PITCH_M = 5e-5  # the pixel of a GelSight Mini has 59 micrometres
 _MAX_POINTS = 1 << 24
 _MARGIN_M = 2e-4  # of plate around the solid
 _MIN_PX = 32  # kernels of the gel need some room
 _MAX_BYTES = 1 << 30
+_TOLERANCES = (6.0, 4.0, 3.0, 3.0)  # multiples of the noise
+_MIN_AGREEING = 0.03  # of an image
 _DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
 
 MIN_UNSATURATED = 0.25
@@ -62,6 +66,27 @@ class Relief:
         corner = np.array([low[0], low[1], _PITCH_M, _PITCH_M])
         return cls(np.ascontiguousarray(out[::-1], np.float32), corner)
 
+    def sampled(
+        self,
+        pose: Float64,
+        half_m: Float64,
+        size: tuple[int, ...],
+        span: Float64 = WHOLE,
+        level_m: float = 0.0,
+    ) -> Float64:
+        """Return how far the relief rises above a level in each pixel of an image, metres, (H, W).
+
+        ``pose`` is the point under the middle, x and y, metres, and the turn, radians; ``half_m`` half of
+        width and height; ``span`` the share of them that is sampled, more than 1 with a margin.
+        """
+        cosine = np.cos(pose[2])
+        sine = np.sin(pose[2])
+        turned = np.array([[cosine, sine], [-sine, cosine]]) * half_m
+        out = np.empty(size)
+        affine = np.column_stack([turned, pose[:2]])
+        gel_kernels.sample_relief(out, self.heights_m, self.corner, affine, span, level_m)
+        return out
+
     @property
     def top_m(self) -> float:
         """Greatest height, metres."""
@@ -71,6 +96,22 @@ class Relief:
 def unsaturated(image: UInt8) -> Bool:
     """Return which pixels (H, W) of an image are not saturated in any colour."""
     return np.asarray(((image > _DARK) & (image < _BRIGHT)).all(axis=-1))
+
+
+def frame_gains(image: Floating, expected: Floating, noise: float) -> Float64:
+    """Return by how much brighter an image is than expected, for each colour, (3,).
+
+    Only pixels that agree in all colours count: where a gel is touched, an image is not the expected one.
+    ``noise`` is that of a pixel, in levels.
+    """
+    gains = np.median((image + 1.0) / (expected + 1.0), axis=(0, 1))
+    for times in _TOLERANCES:
+        off = np.abs(image - gains * expected).max(axis=-1)
+        agrees = (off < times * noise) & (image.max(axis=-1) < _BRIGHT)
+        if agrees.mean() < _MIN_AGREEING:
+            break
+        gains = (image * expected)[agrees].sum(axis=0) / (expected * expected)[agrees].sum(axis=0)
+    return np.asarray(gains, np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
-from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.fitting import FIRST_DRIFT, Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import Recordings, Relief
-from tactile_toolkit.value_types import Float32, Float64, Int64
+from tactile_toolkit.value_types import Float32, Float64
 
 # First guesses, close to Taxim's calibration of the GelSight Mini.
 _WIDTH_M = 9e-4
 _LAST_M = 6e-5
 _CONTACT = 0.6
 _BLUR_M = 6e-5
+_CAMERA = 15.0
 # Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
@@ -29,14 +29,17 @@ _COARSE = (
     Fitted.GEL,
     Fitted.WIDTH,
     Fitted.CONTACT,
+    Fitted.CAMERA,
 )
 # Press depth and shadows have similar effects on the image: the depth is fitted without shadows.
 _SHALLOW = tuple(value for value in Fitted if value not in (Fitted.GEL, Fitted.CONTACT))
 _ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 1e-2), (160, 6, _SHALLOW, 1e-3))
 """Width of the images, steps, moving geometry, and ridge; a high ridge leaves more to the geometry."""
 
-_SETTLED_MOVE = 0.01  # a round ends after a step that is smaller, in parts of the expected spread
 _PASSES = 3
+STEPS = sum(count for _, count, _, _ in _ROUNDS) + _PASSES
+
+_SETTLED_MOVE = 0.01  # a round ends after a step that is smaller, in parts of the expected spread
 _MISFIT = 3.0  # as a multiple of the median error
 _LOOSE_M = 1e-4
 _LOOSE_RAD = np.deg2rad(0.5)
@@ -48,7 +51,7 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
-    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M])
+    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, _CAMERA])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
@@ -61,17 +64,9 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     spread[missing, 3] = _UNKNOWN_PRESS_M
     if level_m is None:  # poses were found by matching
         spread[:, :3] = _MATCHED_SPREAD
-    set_levels(fit, np.flatnonzero(missing), start)
+    for touch in np.flatnonzero(missing).tolist():
+        fit.set_press(touch, start.gel_mm / 1e3 - start.press_m)
     return fit
-
-
-def set_levels(fit: Fit, touches: Int64, start: SensorModel) -> None:
-    """Set the heights of the sensor at some touches so that half of the gel is pressed in."""
-    for touch in touches:
-        # Nothing lies below this level, so heights come back as they are.
-        fit.level_m[touch] = fit.shape[Fitted.GEL] + fit.poses[touch, 3]
-        highest_m = fit.indentation(int(touch), fit.poses[touch], fit.shape).max()
-        fit.level_m[touch] = highest_m - (start.gel_mm / 1e3 - start.press_m) + fit.shape[Fitted.GEL]
 
 
 def first_background(recordings: Recordings) -> Float32:
@@ -83,34 +78,43 @@ def first_background(recordings: Recordings) -> Float32:
     return np.asarray(rows, np.float32)
 
 
-def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
+def run_fit(fit: Fit, steps: Steps) -> None:
     """Run the rounds of a fit, from coarse to fine images."""
     width = fit.recordings.size_px[0]
-    done = 0
-    total = sum(steps for _, steps, _, _ in _ROUNDS) + _PASSES + 2
-
-    def advance(to: int) -> None:
-        if on_progress is not None:
-            on_progress(to, total)
-
-    for width_px, steps, moving, fit.ridge in _ROUNDS:
+    fit.refresh_gains(FIRST_DRIFT)
+    for width_px, count, moving, fit.ridge in _ROUNDS:
         fit.set_shrink(max(1, round(width / width_px)))
         fit.penalise(shadows=moving == _SHALLOW)
         fit.step()
-        for number in range(steps):
+        fit.refresh_gains()
+        for number in range(count):
             moved = fit.step(moving)
-            advance(done + number)
+            steps.advance()
             if moved < _SETTLED_MOVE:
+                steps.advance(count - 1 - number)
                 break
-        done += steps
         leave_out_misfits(fit)
     fit.choose_ridge()
-    advance(done + 1)
     fit.set_shrink(1)
-    for number in range(_PASSES):
+    for _ in range(_PASSES):
         fit.step()
         fit.refresh_background()
-        advance(done + 2 + number)
+        steps.advance()
+
+
+def solid_scale(fit: Fit) -> tuple[float, float]:
+    """Return the size of the touched solids over that of their meshes, and its standard deviation.
+
+    The images only tell where meshes were touched; the stated positions are those on the solids.
+    """
+    poses = fit.recordings.poses_on_solids()
+    if poses is None:
+        return 1.0, np.inf
+    stated = poses[fit.used, :2] - poses[fit.used, :2].mean(axis=0)
+    matched = fit.poses[fit.used, :2] - fit.poses[fit.used, :2].mean(axis=0)
+    square = float((matched * matched).sum()) + 1e-12
+    scale = float((stated * matched).sum()) / square
+    return scale, float(np.std(stated - scale * matched) / np.sqrt(square))
 
 
 def leave_out_misfits(fit: Fit) -> None:
@@ -132,12 +136,14 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "mm_per_px_x": float(pitch_mm[0]),
         "mm_per_px_y": float(pitch_mm[1]),
         "lens_k1": shape["lens"],
+        "camera_mm": 1e3 / max(shape["camera"], 0.1),
         "gel_mm": 1e3 * shape["gel"],
         "gel_blur_mm": 1e3 * shape["width"],
         "contact": shape["contact"],
         "camera_blur_px": float(fit.shape[Fitted.BLUR] / np.sqrt(pitch_mm[0] * pitch_mm[1] / 1e6)),
         "ridge": fit.ridge,
         "noise_levels": fit.noise,
+        "light_drift": fit.light_drift,
         "image_error_levels": float(np.median(fit.rms[fit.used])),
         "touches": [_touch(fit, touch) for touch in range(len(fit.poses))],
     }
@@ -145,14 +151,13 @@ def fit_report(fit: Fit) -> dict[str, Any]:
 
 def _touch(fit: Fit, touch: int) -> dict[str, Any]:
     x_m, y_m, turn_rad, _ = (float(value) for value in fit.poses[touch])
-    indentation_m = fit.indentation(touch, fit.poses[touch], fit.shape)
     values: dict[str, Any] = {
         "name": fit.recordings.names[touch],
         "object_id": int(fit.recordings.object_ids[touch]),
         "x_m": x_m,
         "y_m": y_m,
         "turn_rad": turn_rad,
-        "press_m": float(indentation_m.max()),
+        "press_m": fit.press_m(touch),
         "error_levels": float(fit.rms[touch]),
         "used": bool(fit.used[touch]),
     }

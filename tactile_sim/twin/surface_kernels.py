@@ -13,6 +13,7 @@ from tactile_sim.optics import taxim_kernels
 from tactile_toolkit.kernels import compiled
 from tactile_toolkit.value_types import Float32, Float64, Floating
 
+_SUBSTITUTIONS = 3  # by which positions that a pinhole sees are right to a hundredth of a pixel
 _RUN = 3  # pixels from which the slope at an edge is computed
 
 
@@ -211,12 +212,13 @@ def double(out: Float32, small: Float32) -> None:
 
 @compiled
 def bend_surface(
-    out: Float32, surface: Floating, span: Float64, margin: int, lens: float, across: float
+    out: Float32, surface: Floating, span: Float64, margin: int, lens: float, camera: float, across: float
 ) -> None:
-    """Write a surface as it is seen through the lens, bilinearly.
+    """Write a surface as a pinhole sees it through a lens, bilinearly.
 
-    ``surface`` has ``margin`` pixels more on each side than ``out``. ``across`` is the squared width of the
-    image over its squared diagonal.
+    ``surface`` has ``margin`` pixels more on each side than ``out``. ``camera`` is one over the distance of
+    the pinhole: pixels see points of the height h at (1 + camera h) times their own positions, which follow
+    from repeated substitution. ``across`` is the squared width of the image over its squared diagonal.
     """
     rows, columns = out.shape
     high, wide = surface.shape
@@ -233,25 +235,28 @@ def bend_surface(
     for row in range(rows):
         v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
         from_middle = row + 0.5 - 0.5 * rows
-        for column in range(columns):
-            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
-            bend = lens * (across * u * u + down * v * v)
-            x = column + margin + bend * (column + 0.5 - 0.5 * columns)
-            y = row + margin + bend * from_middle
-            x, y = (x if x > zero else zero), (y if y > zero else zero)
-            x, y = (x if x < most_x else most_x), (y if y < most_y else most_y)
-            i, j = np.int32(x), np.int32(y)
-            i, j = (i if i < right else right), (j if j < below else below)
-            pixels[column] = j * np.int32(wide) + i
-            parts[0, column], parts[1, column] = x - i, y - j
         target = out[row]
-        for column in range(columns):
-            at = pixels[column]
-            fx = parts[0, column]
-            fy = parts[1, column]
-            target[column] = (unit - fy) * ((unit - fx) * flat[at] + fx * flat[at + 1]) + fy * (
-                (unit - fx) * flat[at + wide] + fx * flat[at + wide + 1]
-            )
+        target[:] = np.float32(0.0)
+        for _ in range(_SUBSTITUTIONS if camera else 1):
+            for column in range(columns):
+                u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+                bend = lens * (across * u * u + down * v * v)
+                bend = bend + camera * target[column] * (1.0 + bend)
+                x = column + margin + bend * (column + 0.5 - 0.5 * columns)
+                y = row + margin + bend * from_middle
+                x, y = (x if x > zero else zero), (y if y > zero else zero)
+                x, y = (x if x < most_x else most_x), (y if y < most_y else most_y)
+                i, j = np.int32(x), np.int32(y)
+                i, j = (i if i < right else right), (j if j < below else below)
+                pixels[column] = j * np.int32(wide) + i
+                parts[0, column], parts[1, column] = x - i, y - j
+            for column in range(columns):
+                at = pixels[column]
+                fx = parts[0, column]
+                fy = parts[1, column]
+                target[column] = (unit - fy) * ((unit - fx) * flat[at] + fx * flat[at + 1]) + fy * (
+                    (unit - fx) * flat[at + wide] + fx * flat[at + wide + 1]
+                )
 
 
 @compiled

@@ -27,7 +27,7 @@ class Twin:
 
     Attributes
     ----------
-    shape : ndarray of float64, shape (8,)
+    shape : ndarray of float64, shape (9,)
         Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first two values are 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.
@@ -130,9 +130,7 @@ class TwinOptics(Optics):
         return self._response(gel.gel_surface, reach_m, span, margin)
 
     def _response(self, surface: Surface, reach_m: Floating, span: Float64, margin: int) -> Float32:
-        shape = self._twin.shape.copy()
-        if not self._lens:
-            shape[gel.Fitted.LENS] = 0.0
+        shape = self._twin.shape if self._lens else gel.unbent(self._twin.shape)
         rows, columns = (side - 2 * margin for side in reach_m.shape)
         pitch_m = 2 * self._twin.half_m * span / [columns, rows]
         soft = surface(reach_m, pitch_m, shape, margin, span)

@@ -7,6 +7,7 @@ from .runners import (
 )
 from .this_process import (
     in_threads as in_threads,
+    one_blas_thread as one_blas_thread,
     Part as Part,
     prepare_batch_process as prepare_batch_process,
     shown_progress as shown_progress,

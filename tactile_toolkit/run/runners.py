@@ -24,7 +24,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from importlib.util import find_spec
 from itertools import islice
 from multiprocessing.connection import wait
@@ -33,7 +33,12 @@ from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError
-from tactile_toolkit.run.this_process import prepare_batch_process, usable_cores, working_folder
+from tactile_toolkit.run.this_process import (
+    one_blas_thread,
+    prepare_batch_process,
+    usable_cores,
+    working_folder,
+)
 
 # Each takes about 300 MB of memory.
 _MAX_FREE_WORKERS = 16
@@ -92,18 +97,9 @@ class InlineRunner:
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield the result of each task in order."""
         for task in tasks:
-            # As in a worker: for small matrix products, threads cost more than they save.
-            with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
+            with one_blas_thread():  # as in a worker
                 result = function(task)
             yield result
-
-
-@lru_cache(1)
-def _thread_pools(_modules: int) -> Any:
-    """Find the libraries that start threads; again only after modules were imported, which may bring more."""
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
 
 
 # Alternatives (2 cores, Linux): concurrent.futures needs shared memory, loses all workers if one dies, and
@@ -238,6 +234,9 @@ def _work(pipe: Connection, function: bytes) -> None:
             pipe.send_bytes(run_pickled(function, inbox.get()))
 
 
+_prepare_worker = cache(prepare_batch_process)  # once for all its tasks
+
+
 def _listen(pipe: Connection, inbox: SimpleQueue[bytes]) -> None:
     # Also during a task: no worker may write into the folder of a parent that was killed.
     with contextlib.suppress(EOFError, OSError):
@@ -250,7 +249,8 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
     """Call a pickled function with a pickled task; return its result or error, packed."""
     try:
         _prepare_worker()
-        return dumps((pickle.loads(function)(pickle.loads(task)), None))
+        with one_blas_thread():  # under Ray, numpy is imported before the variables are set
+            return dumps((pickle.loads(function)(pickle.loads(task)), None))
     except Exception as error:
         trace = traceback.format_exc()
         for kept in (error, ToolkitError(f"{type(error).__name__}: {error}")):
@@ -259,14 +259,6 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
                 pickle.loads(packed := dumps((None, kept)))
                 return packed
         raise
-
-
-@cache
-def _prepare_worker() -> None:
-    """Limit a worker to one core, once for all its tasks."""
-    prepare_batch_process()
-    # Under Ray, numpy is imported before the variables are set.
-    _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas")
 
 
 def unpack_result(packed: bytes, *notes: str) -> Any:

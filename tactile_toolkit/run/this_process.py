@@ -18,10 +18,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tactile_toolkit import wording
 from tactile_toolkit.errors import InputError
@@ -171,6 +172,24 @@ def limit_threads() -> None:
             manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
         finally:
             os.sched_setaffinity(0, processors)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit linear algebra to one thread: on small matrices, threads mostly wait for one another.
+
+    A context manager, and by ``@one_blas_thread()`` a decorator.
+    """
+    with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
+        yield
+
+
+@lru_cache(1)
+def _thread_pools(_modules: int) -> Any:
+    """Find the libraries that start threads; again only after modules were imported, which may bring more."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def keep_memory() -> None:

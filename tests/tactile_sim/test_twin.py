@@ -15,7 +15,7 @@ import realtouch
 import tactile_sim
 from tactile_sim.twin import fitting, gel, reader, rounds_of_fit, surface_kernels
 from tactile_sim.twin.calibration import model_of
-from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.matching import are_off, matched_poses
 from tactile_sim.twin.rounds_of_fit import start_fit
@@ -23,7 +23,7 @@ from tactile_sim.twin.twin import TwinOptics
 from tactile_toolkit.errors import InputError
 from tests.short_training import shorten_training
 from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
-from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, hills, made_up_twin, response_of
+from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, hills, made_up_twin, response_of, without
 from tests.tactile_sim.solids import ball, block
 from tests.tactile_sim.twin_scores import recordings_of, score
 
@@ -42,8 +42,11 @@ def test_a_network_learns_a_corner():
     rng = np.random.default_rng(0)
     inputs = rng.uniform(-1, 1, (2000, 2)).astype(np.float32)
     targets = np.abs(inputs[:, :1])
-    weights = reader.train_network("n", inputs, targets, (16, 1), lambda found, want: found - want, rng, 300)
-    assert np.abs(reader.network_output(weights, "n", inputs) - targets).mean() < 0.03
+    weights = reader.train_network(
+        inputs, targets, (16, 1), lambda found, want: found - want, rng, 300, Steps()
+    )
+    named = {f"n_{key}": array for key, array in weights.items()}
+    assert np.abs(reader.network_output(named, "n", inputs) - targets).mean() < 0.03
 
 
 def test_simple_shapes_have_walls_of_less_than_a_press_and_fit_under_the_gel():
@@ -107,6 +110,37 @@ def test_a_step_that_makes_images_worse_is_shortened(too_far, six_touches, monke
     for each in range(6):
         fit.residual(each)
     assert np.median(fit.rms / changes) < 0.7
+
+
+def test_gains_of_frames_are_those_of_the_light(six_touches):
+    """White balance that wanders is fitted within a third, though the gel moves nearly everywhere.
+
+    Light that does not wander counts as such.
+    """
+    gains = 1 + 0.03 * np.random.default_rng(0).normal(size=(6, 1, 1, 3))
+    wandering = np.clip(np.rint(six_touches.images * gains), 0, 255).astype(np.uint8)
+    for images, expected in ((wandering, gains[:, 0, 0]), (six_touches.images, np.ones((6, 3)))):
+        fit = begun(dataclasses.replace(six_touches, images=images))
+        fit.refresh_gains(fitting.FIRST_DRIFT)
+        for _ in range(2):
+            fit.step()
+            fit.refresh_gains()
+        assert np.sqrt(np.mean((fit.gains - expected) ** 2)) <= 0.35 * fit.light_drift
+
+
+def test_prints_that_are_too_small_change_lengths_and_no_image(six_touches):
+    """The scale follows from stated positions; all lengths follow it, and rendered images stay."""
+    fit = begun(six_touches)
+    fit.step()
+    fit.poses[:, :2] /= 0.995
+    scale, deviation = rounds_of_fit.solid_scale(fit)
+    assert scale == pytest.approx(0.995, abs=1e-6)
+    assert deviation < 1e-6
+    before = fit.rendered(0, fit.poses[0], fit.shape), fit.seen_depth_m(0).max(), fit.half_m(fit.shape)
+    fit.rescale(scale)
+    assert fit.rendered(0, fit.poses[0], fit.shape) == pytest.approx(before[0], abs=0.2)
+    assert fit.seen_depth_m(0).max() == pytest.approx(0.995 * before[1], rel=1e-4)
+    assert fit.half_m(fit.shape) == pytest.approx(0.995 * before[2])
 
 
 @pytest.fixture
@@ -225,7 +259,7 @@ def test_the_lens_is_in_depth_that_was_read():
     twin = made_up_twin()
     reached = hills().astype(np.float32)[None]
     model = model_of(twin, "mine")
-    plain = model_of(dataclasses.replace(twin, shape=np.where(np.arange(8) == Fitted.LENS, 0, SHAPE)), "mine")
+    plain = model_of(dataclasses.replace(twin, shape=without(SHAPE, Fitted.LENS)), "mine")
     depth_m = plain.sensor.gel_m - reached.astype(np.float64)
     through = plain.optics.render(depth_m, plain.sensor, (64, 48)).astype(int)
     assert np.abs(through - plain.render_read(reached)).max() <= 1
@@ -376,7 +410,7 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
     changed = []
     for depth_m, image in zip(pressed.depth_m, images, strict=True):
         skin = ndimage.gaussian_filter(depth_m - model.sensor.gel_m, SHAPE[Fitted.LAST] / pitch_m[::-1])
-        soft = gel.seen_through(skin.astype(np.float32), pitch_m, float(SHAPE[Fitted.LENS]))
+        soft = gel.seen_through(skin.astype(np.float32), pitch_m, SHAPE)
         plain = response_of(gel.surface_features(soft, pitch_m, SHAPE), twin.coefficients, (48, 64))
         blur = [*(SHAPE[Fitted.BLUR] / pitch_m[::-1]), 0]
         shown = twin.background + ndimage.gaussian_filter(plain, blur, mode="mirror", truncate=3)

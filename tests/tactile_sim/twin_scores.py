@@ -81,7 +81,9 @@ def score(
         fitted.images[black] = 0
     judged = sensor.record(digits(4, HELD_OUT_DIGITS), held_out, seed=1)
     start = time.perf_counter()
-    model = tactile_sim.calibrate(recordings_of(fitted))
+    progress: list[tuple[int, int]] = []
+    model = tactile_sim.calibrate(recordings_of(fitted), on_progress=lambda *done: progress.append(done))
+    assert progress[-1][0] == progress[-1][1]
     fit_s = time.perf_counter() - start
     start = time.perf_counter()
     depth_m = model.read_depth_m(judged.images)
