@@ -17,7 +17,6 @@ _WIDTH_M = 9e-4
 _LAST_M = 6e-5
 _CONTACT = 0.6
 _BLUR_M = 6e-5
-_CAMERA = 15.0
 # Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
@@ -51,7 +50,7 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
-    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, _CAMERA])
+    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
