@@ -30,7 +30,7 @@ _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives, and expected deviations from the guess.
 _SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0])
-_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 15.0])
+_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 5.0])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
 _HUBER = 3.0  # residuals beyond this multiple of the noise weigh less: dust, layer lines, shadows
