@@ -1,4 +1,4 @@
-"""Two small networks on maps of 32 x 32 pixels: one reads the digit, one chooses where to go."""
+"""Two small networks on maps of 32 x 32 pixels: one reads the answer, one chooses where to go."""
 
 from __future__ import annotations
 
@@ -8,20 +8,43 @@ import torch
 from torch import nn
 
 
-def trunk(outputs: int) -> nn.Sequential:
-    """Return three convolutions of stride 2 and two linear layers: (n, 3, 32, 32) to (n, outputs)."""
-    return nn.Sequential(
-        nn.Conv2d(3, 32, 3, stride=2, padding=1),
+def trunk(channels: int) -> nn.Sequential:
+    """Return three convolutions of stride 2 and a linear layer: (n, channels, 32, 32) to (n, 128)."""
+    layers = nn.Sequential(
+        nn.Conv2d(channels, 16, 3, stride=2, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(16, 32, 3, stride=2, padding=1),
         nn.ReLU(),
         nn.Conv2d(32, 64, 3, stride=2, padding=1),
-        nn.ReLU(),
-        nn.Conv2d(64, 64, 3, stride=2, padding=1),
         nn.ReLU(),
         nn.Flatten(),
         nn.Linear(1024, 128),
         nn.ReLU(),
-        nn.Linear(128, outputs),
-    ).to(memory_format=torch.channels_last)
+    )
+    stored: nn.Sequential = layers.to(memory_format=torch.channels_last)
+    return stored
+
+
+class Reader(nn.Module):
+    """Predicts the answer from a map, and from where the map lies in the cell.
+
+    ``locates`` states that the outputs are a position in the cell and a direction: they count from the frame
+    of the map.
+    """
+
+    def __init__(self, outputs: int, *, locates: bool) -> None:
+        super().__init__()
+        self.body, self.head, self.locates = trunk(2), nn.Linear(128 + 4, outputs), locates
+
+    def forward(self, maps: torch.Tensor, frames: torch.Tensor) -> torch.Tensor:
+        """Return predictions for maps (n, 2, 32, 32) in frames (n, 4): x, y in half cells, cosine, sine."""
+        predictions: torch.Tensor = self.head(torch.cat([self.body(maps), frames], 1))
+        if not self.locates:
+            return predictions
+        cosine, sine = frames[:, 2:3], frames[:, 3:]
+        x, y = predictions[:, ::2], predictions[:, 1::2]
+        turned = torch.stack([cosine * x - sine * y, sine * x + cosine * y], 2).flatten(1)
+        return turned + nn.functional.pad(frames[:, :2], (0, 2))
 
 
 def _ways() -> torch.Tensor:
@@ -31,25 +54,27 @@ def _ways() -> torch.Tensor:
 
 
 WAYS = _ways()
-"""What a policy chooses from: ways, (44, 2), in parts of the longest."""
+"""What a policy chooses from: ways in the plane, (44, 2), in parts of the longest."""
 
 
-def chosen_of(ways: torch.Tensor) -> torch.Tensor:
+def nearest_ways(ways: torch.Tensor) -> torch.Tensor:
     """Return the number of the nearest of :data:`WAYS` for each way (n, 2)."""
     return torch.cdist(ways, WAYS).argmin(1)
 
 
-class Policy(nn.Module):
+class Explorer(nn.Module):
     """Where to go next, from the map around the sensor: a choice of ways, and a value."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.body, self.critic = trunk(len(WAYS)), trunk(1)
+        self.actor = nn.Sequential(trunk(3), nn.Linear(128, len(WAYS)))
+        self.critic = nn.Sequential(trunk(3), nn.Linear(128, 1))
 
     def forward(self, maps: torch.Tensor) -> torch.distributions.Categorical:
         """Return how likely each of the ways is."""
-        return torch.distributions.Categorical(logits=self.body(maps))
+        return torch.distributions.Categorical(logits=self.actor(maps))
 
     def value(self, maps: torch.Tensor) -> torch.Tensor:
         """Return the sum of rewards that is expected until the end of the episode, (n,)."""
-        return self.critic(maps)[:, 0]
+        values: torch.Tensor = self.critic(maps)[:, 0]
+        return values

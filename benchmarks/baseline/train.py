@@ -1,288 +1,262 @@
-"""Train a reader of digits and policies of touching, in minutes on one core, and write their curves.
+"""Train a first agent for an environment of the paper in minutes on one core, and write its reports.
 
-``python benchmarks/baseline/train.py --seed 0 --out runs/0`` makes digits on the first call, then
+``python benchmarks/baseline/train.py Toolbox --out runs/toolbox`` makes the objects on the first call, then
 
-1. trains a reader of maps while a rule explores: go where the digit goes on and was not seen;
-2. trains a second reader on random actions, from the first;
-3. lets a policy imitate the rule on its own episodes until it does as well, then improves it by PPO, with the
-   loss of the reader as the cost.
+1. trains a reader of maps while the rule explores, and evaluates it (``rule``);
+2. trains a second reader on random actions, from the first (``random``);
+3. with ``--explore``, lets a network imitate the rule on its own episodes (``imitation``), then improves it
+   by PPO, with the loss of the reader as the cost (``learned``).
 
-``result.json`` holds which digits of ``test`` were read after each touch, and how certainly; ``curves.py``
-draws all seeds.
+Each evaluation is a report of ``tactile_envs.evaluate``; ``tactile-envs compare`` draws their curves.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
-from networks import WAYS, Policy, chosen_of, trunk
-from torch.nn import functional
-from touch_map import OBJECT_CM, TouchMaps
+from agents import Agent, LearnedAgent, RandomAgent, tensor
+from networks import Explorer, Reader, nearest_ways
+from numpy.typing import NDArray
 
 import env_assets
 import tactile_envs
-
-gymnasium.register_envs(tactile_envs)
-ID = "tactile_envs/TactileMNIST-Depth-{}-v0"
-Act = Callable[[TouchMaps], np.ndarray]
-"""From what was felt to ways (n, 2), in parts of the longest."""
+from tactile_envs.episodes.touch_maps import OBJECT_RELIEF
 
 _LINE_INTERVAL_S = 5.0
 
-TOUCHES = 17
-"""Touches of an episode; a prediction after the last one counts for nothing, so 16 are scored."""
+
+@dataclass(frozen=True)
+class Task:
+    """An environment of the paper: ids for training and test, kind of objects, and what the reader does."""
+
+    trained: str
+    tested: str
+    objects: str
+    follows: bool = True
+    locates: bool = False
+
+
+TASKS = {
+    "TactileMNIST": Task("TactileMNIST-Depth-train-v0", "TactileMNIST-Depth-test-v0", "mnist3d"),
+    "TactileMNISTVolume": Task(
+        "TactileMNISTVolume-Depth-train-v0", "TactileMNISTVolume-Depth-test-v0", "mnist3d"
+    ),
+    "Starstruck": Task("Starstruck-Depth-train-v0", "Starstruck-Depth-test-v0", "starstruck", follows=False),
+    "Toolbox": Task("Toolbox-Depth-v0", "Toolbox-Depth-v0", "wrench", locates=True),
+}
 
 
 class Player:
-    """Plays whole episodes in all environments at once."""
+    """Plays whole episodes of the training environments, all at once."""
 
-    def __init__(self, assets: Path, split: str, count: int, seed: int) -> None:
-        self.env = gymnasium.make_vec(ID.format(split), num_envs=count, assets=str(assets))
-        self.count, self.maps = count, TouchMaps(count)
-        self.random = np.random.default_rng(seed)
-        self.observation, _ = self.env.reset(seed=seed)
+    def __init__(self, spec: tactile_envs.EpisodeSpec) -> None:
+        self.env, self.spec, self.group = spec.open(), spec, 0
+        self.steps, self.count = self.env.config.step_limit, spec.num_envs
 
-    def play(self, act: Act, objects: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Play one episode; return maps (16, n, 3, 32, 32) around sensor and object, ways, labels (n,)."""
-        maps = self.maps
-        if objects is not None:
-            self.observation, _ = self.env.reset(options={"datapoint_idx": list(objects)})
-        maps.begin()
-        found: dict[str, list[np.ndarray]] = {"maps": [], "centred": [], "ways": []}
-        for touch in range(TOUCHES):
-            maps.add(self.observation)
-            if touch < TOUCHES - 1:
-                found["maps"].append(maps.around_sensor())
-                found["centred"].append(maps.centred())
-            ways = act(maps)
-            found["ways"].append(ways)
-            way = np.zeros((self.count, 3), np.float32)
-            way[:, :2] = ways
-            prediction = np.zeros((self.count, 10), np.float32)
-            if touch == TOUCHES - 1 and objects is not None:
-                break
-            step = {"action": {"sensor_target_pos_rel": way}, "prediction": prediction}
-            self.observation, _, _, _, info = self.env.step(step)
-            if touch == 0:
-                labels = np.asarray(info["prediction"]["target"])
-        return {**{name: np.stack(each) for name, each in found.items()}, "labels": labels}
+    def play(self, agent: Agent) -> dict[str, NDArray[Any]]:
+        """Play the next episodes; return the values of each touch before the last one, (steps * n, ...)."""
+        seed = self.spec.group_seed(self.group)
+        self.group += 1
+        observation, _ = self.env.reset(seed=seed)
+        agent.begin(self.env, seed)
+        values: dict[str, list[NDArray[Any]]] = {}
+        for _ in range(self.steps):
+            action = agent(observation)
+            observation, _, _, _, info = self.env.step(action)
+            touch = {"view": agent.view, "frames": agent.frames, "target": info["prediction"]["target"]}
+            if isinstance(agent, LearnedAgent):
+                touch["around_sensor"], touch["ways"] = agent.around_sensor, agent.ways.numpy()
+                touch["rule"] = agent.maps.next_steps()[:, :2]
+            for name, array in touch.items():
+                values.setdefault(name, []).append(array)
+        return {name: np.concatenate(arrays) for name, arrays in values.items()}
 
-
-def frontier(maps: TouchMaps) -> np.ndarray:
-    """Go where the digit was met and not yet seen."""
-    return maps.frontier()
+    def losses(self, reader: Reader, episode: dict[str, NDArray[Any]], chosen: Any) -> torch.Tensor:
+        """Return the loss of a reader at some touches of episodes."""
+        frames = torch.from_numpy(episode["frames"])[chosen]
+        predictions = reader(tensor(episode["view"])[chosen], frames)
+        targets = torch.from_numpy(episode["target"])[chosen]
+        losses: torch.Tensor = self.env.loss_fn.torch(predictions, targets, (len(predictions),))
+        return losses
 
 
-def anywhere(random: np.random.Generator) -> Act:
-    """Go in any direction, as a sample of the action space does."""
-    return lambda maps: random.uniform(-1, 1, (len(maps.maps), 2)).astype(np.float32)
+def phase(name: str, seconds: float, losses: list[float]) -> Iterator[float]:
+    """Yield the share of the processor time of a phase that has passed; print it and the last losses."""
+    start_s, printed_s = time.process_time(), time.monotonic()
+    while (share := (time.process_time() - start_s) / seconds) < 1:
+        if time.monotonic() - printed_s > _LINE_INTERVAL_S:
+            printed_s = time.monotonic()
+            loss = np.mean(losses[-100:])
+            print(f"{name:12} {share:.0%} of {seconds / 60:.1f} minutes, loss {loss:.3f}", flush=True)
+        yield share
 
 
-def tensor(maps: np.ndarray) -> torch.Tensor:
-    """Return maps (..., 3, 32, 32) as one batch."""
-    batch = torch.from_numpy(maps.reshape(-1, *maps.shape[-3:]))
-    return batch.contiguous(memory_format=torch.channels_last)
-
-
-@contextlib.contextmanager
-def told(state: Callable[[], str]) -> Iterator[None]:
-    """Print a state every few seconds, however long a step of the work takes."""
-    over = threading.Event()
-
-    def tell() -> None:
-        while not over.wait(_LINE_INTERVAL_S):
-            print(state(), flush=True)
-
-    threading.Thread(target=tell, daemon=True).start()
-    try:
-        yield
-    finally:
-        over.set()
-
-
-def phase(what: str, seconds: float) -> Iterator[float]:
-    """Yield the share of the processor time of a phase that has passed."""
-    began = time.process_time()
-
-    def passed() -> float:
-        return (time.process_time() - began) / seconds
-
-    with told(lambda: f"{what:12} {min(passed(), 1):.0%} of {seconds / 60:.1f} minutes of training"):
-        while (now := passed()) < 1:
-            yield now
-
-
-def train_reader(reader: torch.nn.Module, player: Player, act: Act, seconds: float, rate: float) -> int:
-    """Train on the maps of episodes until the time is over; return how many touches that took."""
+def train_reader(reader: Reader, player: Player, agent: Agent, seconds: float, rate: float) -> int:
+    """Train on the maps of episodes until the time is over; return the number of touches."""
     optimiser = torch.optim.AdamW(reader.parameters(), rate, weight_decay=1e-2)
-    touches = 0
-    for passed in phase("reader", seconds):
-        for group in optimiser.param_groups:
-            group["lr"] = rate * min(1.0, 20 * passed + 0.05) * (0.5 + 0.5 * np.cos(np.pi * passed))
-        episode = player.play(act)
-        maps = tensor(episode["centred"])
-        labels = torch.from_numpy(episode["labels"]).repeat(TOUCHES - 1)
-        for chosen in torch.randperm(len(maps)).split(256):
-            loss = functional.cross_entropy(reader(maps[chosen]), labels[chosen])
+    touches, losses = 0, list[float]()
+    for share in phase(type(agent).__name__, seconds, losses):
+        optimiser.param_groups[0]["lr"] = rate * min(1, 20 * share + 0.05) * (1 + np.cos(np.pi * share)) / 2
+        episode = player.play(agent)
+        is_met = episode["view"][:, 0].max(axis=(1, 2)) > OBJECT_RELIEF
+        # Maps without an object are all alike: a tenth of them will do.
+        is_useful = torch.from_numpy(is_met) | (torch.rand(len(is_met)) < 0.1)
+        useful = is_useful.nonzero()[:, 0]
+        for chosen in useful[torch.randperm(len(useful))].split(256):
+            loss = player.losses(reader, episode, chosen).mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
+            losses.append(loss.item())
+        touches += len(episode["view"])
+    return touches
+
+
+def imitate(explorer: Explorer, player: Player, follows: bool, turns: bool, seconds: float) -> int:
+    """Learn the steps of the rule where the network itself goes; return the number of touches."""
+    optimiser = torch.optim.Adam(explorer.actor.parameters(), 1e-3)
+    touches, losses = 0, list[float]()
+    for share in phase("imitation", seconds, losses):
+        optimiser.param_groups[0]["lr"] = 1e-3 * (1 - share) + 1e-5
+        episode = player.play(LearnedAgent(follows, turns, explorer))
+        maps, steps = tensor(episode["around_sensor"]), nearest_ways(torch.from_numpy(episode["rule"]))
+        for chosen in torch.randperm(len(maps)).split(256):
+            loss = -explorer(maps[chosen]).log_prob(steps[chosen]).mean()
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            losses.append(loss.item())
         touches += len(maps)
     return touches
 
 
-def imitate(policy: Policy, player: Player, seconds: float) -> int:
-    """Learn the ways of the rule where the policy itself goes."""
-    optimiser = torch.optim.Adam(policy.body.parameters(), 1e-3)
-    touches = 0
-    for passed in phase("imitation", seconds):
-        for group in optimiser.param_groups:
-            group["lr"] = 1e-3 * (1 - passed) + 1e-5
-        wanted: list[np.ndarray] = []
-
-        def act(maps: TouchMaps, wanted: list[np.ndarray] = wanted, passed: float = passed) -> np.ndarray:
-            wanted.append(maps.frontier())
-            return wanted[-1] if passed < 0.1 else follow(policy)(maps)
-
-        maps = tensor(player.play(act)["maps"])
-        targets = chosen_of(torch.from_numpy(np.concatenate(wanted[: TOUCHES - 1])))
-        for chosen in torch.randperm(len(maps)).split(256):
-            loss = -policy(maps[chosen]).log_prob(targets[chosen]).mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-        touches += len(maps)
-    return touches
-
-
-def follow(policy: Policy, explore: bool = False) -> Act:
-    """Go where the policy wants, or near it."""
-
-    def act(maps: TouchMaps) -> np.ndarray:
+def improve(
+    explorer: Explorer, reader: Reader, player: Player, follows: bool, turns: bool, seconds: float
+) -> int:
+    """Improve a network by PPO (clip 0.2, lambda 0.95); the reward is minus the loss of the reader."""
+    optimiser = torch.optim.Adam(explorer.parameters(), 3e-4)
+    agent = LearnedAgent(follows, turns, explorer)
+    agent.samples = True
+    touches, count, losses = 0, player.count, list[float]()
+    for share in phase("learned", seconds, losses):
+        optimiser.param_groups[0]["lr"] = 3e-4 * (1 - share) + 1e-6
+        # At first only the critic learns: the network must not follow a wrong one away from the rule.
+        learns = share > 0.1
+        episode = player.play(agent)
+        states = tensor(episode["around_sensor"])[:-count]
+        ways = torch.from_numpy(episode["ways"])[:-count]
         with torch.inference_mode():
-            wanted = policy(tensor(maps.around_sensor()))
-            return WAYS[wanted.sample() if explore else wanted.probs.argmax(1)].numpy()
-
-    return act
-
-
-def improve(policy: Policy, reader: torch.nn.Module, player: Player, seconds: float) -> int:
-    """Improve a policy by PPO (clip 0.2, lambda 0.95); the reward is minus the loss of the reader."""
-    optimiser = torch.optim.Adam(policy.parameters(), 3e-4)
-    touches = 0
-    for passed in phase("learned", seconds):
-        for group in optimiser.param_groups:
-            group["lr"] = 3e-4 * (1 - passed) + 1e-6
-        # At first only the critic learns: the policy must not follow a wrong one away from the rule.
-        learns = passed > 0.1
-        episode = player.play(follow(policy, explore=True))
-        maps, count = tensor(episode["maps"]), player.count
-        labels = torch.from_numpy(episode["labels"]).repeat(TOUCHES - 1)
-        ways = chosen_of(torch.from_numpy(episode["ways"][: TOUCHES - 2].reshape(-1, 2)))
-        with torch.inference_mode():
-            logits = reader(tensor(episode["centred"]))
-            scores = -functional.cross_entropy(logits, labels, reduction="none").view(TOUCHES - 1, count)
-            states = maps[: (TOUCHES - 2) * count]
-            before = policy(states).log_prob(ways)
-            values = policy.value(states).view(TOUCHES - 2, count)
-        rewards = scores[1:]
+            every = torch.arange(count, len(states) + count)
+            rewards = -player.losses(reader, episode, every).view(-1, count)
+            before = explorer(states).log_prob(ways)
+            values = explorer.value(states).view(-1, count)
         advantages = torch.zeros_like(rewards)
         last, value = torch.zeros(count), torch.zeros(count)
-        for t in reversed(range(TOUCHES - 2)):
-            last = rewards[t] + value - values[t] + 0.95 * last
-            advantages[t], value = last, values[t]
+        for step in reversed(range(len(rewards))):
+            last = rewards[step] + value - values[step] + 0.95 * last
+            advantages[step], value = last, values[step]
         returns, gains = (advantages + values).reshape(-1), advantages.reshape(-1)
         gains = (gains - gains.mean()) / (gains.std() + 1e-6)
-        for _ in range(2):
-            for chosen in torch.randperm(len(states)).split(512):
-                loss = 0.5 * (policy.value(states[chosen]) - returns[chosen]).square().mean()
-                if learns:
-                    ratio = (policy(states[chosen]).log_prob(ways[chosen]) - before[chosen]).exp()
-                    gain = gains[chosen]
-                    loss = loss - torch.min(ratio * gain, ratio.clamp(0.8, 1.2) * gain).mean()
-                optimiser.zero_grad()
-                loss.backward()
-                torch.nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
-                optimiser.step()
-        touches += len(maps)
+        for chosen in torch.cat([torch.randperm(len(states)) for _ in range(2)]).split(512):
+            loss = 0.5 * (explorer.value(states[chosen]) - returns[chosen]).square().mean()
+            if learns:
+                ratio = (explorer(states[chosen]).log_prob(ways[chosen]) - before[chosen]).exp()
+                gain = gains[chosen]
+                loss = loss - torch.min(ratio * gain, ratio.clamp(0.8, 1.2) * gain).mean()
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(explorer.parameters(), 1.0)
+            optimiser.step()
+            losses.append(loss.item())
+        touches += len(states) + count
     return touches
 
 
-def evaluate(reader: torch.nn.Module, player: Player, act: Act, digits: int) -> dict[str, np.ndarray]:
-    """Return what was found after each touch, (digits, 16) each.
+class Training:
+    """Trains and evaluates with one seed."""
 
-    ``right``: whether the digit was read; ``certainty``: how probable the reader held it; ``met``: whether it
-    had been touched.
-    """
-    found: dict[str, list[np.ndarray]] = {"right": [], "certainty": [], "met": []}
-    for first in range(0, digits, player.count):
-        objects = np.arange(first, first + player.count) % digits
-        episode = player.play(act, objects)
-        with torch.inference_mode():
-            shares = reader(tensor(episode["centred"])).softmax(1).view(TOUCHES - 1, player.count, 10).numpy()
-        is_met = episode["centred"][:, :, 0].max(axis=(2, 3)) > OBJECT_CM
-        certainty = np.take_along_axis(shares, episode["labels"][None, :, None], axis=2)[..., 0]
-        right = shares.argmax(2) == episode["labels"]
-        for name, values in (("right", right), ("certainty", certainty), ("met", is_met)):
-            found[name].append(values.T[: digits - first])
-    return {name: np.concatenate(values) for name, values in found.items()}
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options, self.task = options, TASKS[options.task]
+        env_assets.AssetProvider(options.assets, generate=True, per_class=options.per_class).meshes(
+            self.task.objects, "train"
+        )
+        spec = tactile_envs.EpisodeSpec(
+            self.task.trained,
+            num_envs=options.num_envs,
+            episodes=options.num_envs,
+            seed=options.seed,
+            assets=options.assets,
+        )
+        self.player = Player(spec)
+        self.seconds = 60 * options.minutes
+        self.facts: dict[str, Any] = {"seed": options.seed, "minutes": options.minutes, "touches": {}}
+
+    def evaluate(self, name: str, agent: Agent, touches: int) -> None:
+        """Write the report of an agent."""
+        spec = tactile_envs.EpisodeSpec(
+            self.task.tested, episodes=self.options.episodes, num_envs=100, assets=self.options.assets
+        )
+        report = tactile_envs.evaluate(spec, agent, seeds=self.options.seeds)
+        report.write(self.options.out / name, overwrite=True)
+        self.facts["touches"][name] = touches
+        self.options.out.joinpath("training.json").write_text(json.dumps(self.facts, indent=1) + "\n")
+        metrics = {metric: f"{held.final.mean:.4g}" for metric, held in report.metrics.items()}
+        print(f"{name:12} final {metrics}", flush=True)
+
+    def run(self) -> None:
+        """Train all parts, and write their reports and weights."""
+        follows, turns = self.task.follows, self.task.locates
+        shares = 0.8, 0.2, 0.0
+        if self.options.explore:
+            shares = 0.4, 0.1, 0.25
+        outputs = self.player.env.prediction_space.shape[1]
+        reader, explorer = Reader(outputs, locates=self.task.locates), Explorer()
+        touches = train_reader(reader, self.player, Agent(follows, turns), shares[0] * self.seconds, 1e-3)
+        self.evaluate("rule", Agent(follows, turns, reader), touches)
+        second = Reader(outputs, locates=self.task.locates)
+        second.load_state_dict(reader.state_dict())
+        touches = train_reader(
+            second, self.player, RandomAgent(follows, turns), shares[1] * self.seconds, 3e-4
+        )
+        self.evaluate("random", RandomAgent(follows, turns, second), touches)
+        if self.options.explore:
+            touches = imitate(explorer, self.player, follows, turns, shares[2] * self.seconds)
+            self.evaluate("imitation", LearnedAgent(follows, turns, explorer, reader), touches)
+            touches = improve(explorer, reader, self.player, follows, turns, shares[2] * self.seconds)
+            self.evaluate("learned", LearnedAgent(follows, turns, explorer, reader), touches)
+        networks = {"reader": reader, "random_reader": second, "explorer": explorer}
+        torch.save(
+            {name: network.state_dict() for name, network in networks.items()},
+            self.options.out / "weights.pt",
+        )
 
 
 def main() -> None:
-    """Train with one seed, and write the result."""
+    """Train with one seed, and write the reports."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("task", choices=TASKS)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the reports")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=60, help="processor time of all training")
-    parser.add_argument("--assets", type=Path, default=Path("baseline-digits"))
-    parser.add_argument("--per-class", type=int, default=300, help="digits of each class for training")
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--explore", action="store_true", help="also train a network that explores")
+    parser.add_argument("--assets", default="baseline-assets", help="folder of the objects")
+    parser.add_argument("--per-class", type=int, default=300, help="objects of each class for training")
+    parser.add_argument("--num-envs", type=int, default=128, help="environments side by side in training")
+    parser.add_argument("--episodes", type=int, default=500, help="episodes of each seed of an evaluation")
+    parser.add_argument("--seeds", type=int, default=5, help="seeds of an evaluation")
     options = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(options.seed)
-    provider = env_assets.AssetProvider(options.assets, generate=True, per_class=options.per_class)
-    digits = {split: len(provider.meshes("mnist3d", split)) for split in ("train", "test")}
-    player = Player(options.assets, "train", 256, options.seed)
-    tested = Player(options.assets, "test", 250, 1000 + options.seed)
-    seconds = 60 * options.minutes
-    reader, policy = trunk(10), Policy()
-    result: dict[str, Any] = {"seed": options.seed, "minutes": options.minutes, "digits": digits}
-
-    def measure(name: str, touches: int, read: torch.nn.Module, act: Act) -> None:
-        with told(lambda: f"{name:12} reads the digits of test"):
-            found = evaluate(read, tested, act, digits["test"])
-        right = found["right"]
-        result[name] = {
-            "touches": touches,
-            "minutes": time.process_time() / 60,
-            "met": found["met"].mean(0).tolist(),
-            "right": right.astype(int).tolist(),
-            "certainty": found["certainty"].astype(float).round(4).tolist(),
-        }
-        print(f"{name:12} final {right[:, -1].mean():.1%}, average {right.mean():.1%}", flush=True)
-        options.out.mkdir(parents=True, exist_ok=True)
-        options.out.joinpath("result.json").write_text(json.dumps(result))
-        torch.save({"reader": reader.state_dict(), "policy": policy.state_dict()}, options.out / "weights.pt")
-
-    touches = train_reader(reader, player, frontier, 0.4 * seconds, 1e-3)
-    measure("rule", touches, reader, frontier)
-    second = trunk(10)
-    second.load_state_dict(reader.state_dict())
-    touches = train_reader(second, player, anywhere(player.random), 0.1 * seconds, 3e-4)
-    measure("random", touches, second, anywhere(player.random))
-    touches = imitate(policy, player, 0.25 * seconds)
-    measure("imitation", touches, reader, follow(policy))
-    touches = improve(policy, reader, player, 0.25 * seconds)
-    measure("learned", touches, reader, follow(policy))
+    options.out.mkdir(parents=True, exist_ok=True)
+    Training(options).run()
 
 
 if __name__ == "__main__":
