@@ -344,6 +344,8 @@ def check(
         for figure in health.figures
     ]
     sink.table(("figure", "found", "limit", "", "what it is"), rows)
+    if health.recording:
+        sink.info(f"note: {health.recording}")
     state = health.cause or "the sensor is as it was calibrated"
     sink.line(f"{with_count(health.images, 'images')} compared with {sensor}; {state}")
     if not health.ok:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from tactile_toolkit.wording import with_count
 
 _NAMED_LIGHT_DRIFT, _MAX_LIGHT_DRIFT = 0.01, 0.15  # of the gains of frames, root mean square
 _SURE_SCALE = 2.5  # standard deviations
+_MOST_OFF = 0.5  # share of touches that are off: beyond it, all are searched near their stated poses
 _MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
 
 
@@ -72,13 +72,15 @@ def calibrate(
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
+    if any(mistake.kind == "heights" for mistake in mistakes):
+        recordings = recordings.without_heights()
     unsaturated_shares = recordings.unsaturated_shares()
     usable = np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED)
     steps = Steps(on_progress, rounds_of_fit.STEPS + training_steps())
     fit = _usable_fit(recordings, start, mistakes, usable, steps)
     rounds_of_fit.run_fit(fit, steps)
     _require_explained(fit)
-    mistakes += [*_wandering_light(fit), *_other_size(fit)]
+    mistakes += [*_off_poses(fit, usable), *_wandering_light(fit), *_other_size(fit)]
     report = {**rounds_of_fit.fit_report(fit), "mistakes": [asdict(mistake) for mistake in mistakes]}
     for touch in np.flatnonzero(unsaturated_shares < MIN_UNSATURATED).tolist():
         report["touches"].insert(touch, _saturated(recordings, touch, unsaturated_shares[touch]))
@@ -175,6 +177,19 @@ def _other_size(fit: Fit) -> list[Mistake]:
     return [Mistake("scale", detail, scale)]
 
 
+def _off_poses(fit: Fit, usable: Int64) -> Iterator[Mistake]:
+    """Yield the touches whose stated pose did not explain their image, by their numbers ``usable``."""
+    poses = fit.recordings.poses_on_solids()
+    for touch in np.flatnonzero(fit.off).tolist():
+        assert poses is not None, "poses that are off were stated"
+        away_mm = 1e3 * float(np.hypot(*(fit.poses[touch, :2] - poses[touch, :2])))
+        fate = f"it was found {away_mm:.1f} mm away"
+        if not fit.used[touch]:
+            fate = "and no other pose does: it is left out"
+        detail = f"the pose of touch {fit.recordings.names[touch]!r} does not explain its image; {fate}"
+        yield Mistake("pose", detail, away_mm, (int(usable[touch]),))
+
+
 def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
     """Return which of the touches are of one gel: if the gel changed, of the one with more touches."""
     chosen = np.ones(len(touches), bool)
@@ -195,9 +210,19 @@ def _first_fit(recordings: Recordings, start: SensorModel, steps: Steps) -> Fit:
     poses = recordings.poses_on_solids()
     if poses is not None:
         assert recordings.sensor_m is not None, "poses follow from it"
-        stated = partial(rounds_of_fit.start_fit, recordings, poses, recordings.sensor_m[:, 2], start)
-        if not matching.are_off(stated()):
-            return stated()
+        level_m = recordings.sensor_m[:, 2].copy()
+        stated = rounds_of_fit.start_fit(recordings, poses, level_m, start)
+        off = matching.are_off(stated)
+        if off.mean() < _MOST_OFF:
+            if off.any():
+                found, likely = matching.found_poses(stated, off, start)
+                poses[off], level_m[off] = found[off, :3], np.nan
+            fit = rounds_of_fit.start_fit(recordings, poses, level_m, start)
+            for touch in np.flatnonzero(off).tolist():
+                matching.set_pose(fit, touch, found[touch])
+                fit.likely[touch] = likely[touch]
+            fit.off = off
+            return fit
     matched, likely = matching.matched_poses(recordings, start, poses, steps)
     fit = rounds_of_fit.start_fit(recordings, matched[:, :3], None, start)
     for touch, at in enumerate(matched):

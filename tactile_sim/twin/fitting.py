@@ -95,7 +95,8 @@ class Fit:
     ``shape`` is the geometry, by :class:`~tactile_sim.twin.gel.Fitted`. ``poses`` (N, 4) are x and y, metres,
     the turn, radians, and a correction that is added to the press depth, metres; ``spread`` (N, 4) is how far
     they are expected to be off. ``guess_m`` is the guess of half the width and half the height of the image,
-    ``level_m`` (N,) the height of the sensor at each touch, metres.
+    ``level_m`` (N,) the height of the sensor at each touch, metres. ``off`` (N,) are the touches whose stated
+    poses do not explain their images.
     """
 
     recordings: Recordings
@@ -110,6 +111,7 @@ class Fit:
     coefficients: Float64 = field(
         default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3)), repr=False
     )
+    off: Bool = field(init=False)
     likely: Bool = field(init=False)
     used: Bool = field(init=False)
     rms: Float64 = field(init=False)
@@ -117,6 +119,7 @@ class Fit:
 
     def __post_init__(self) -> None:
         count = len(self.recordings)
+        self.off = np.zeros(count, bool)
         self.likely, self.used = np.ones(count, bool), np.ones(count, bool)
         self.rms = np.full(count, np.nan)
         self.robust_std = np.zeros(count)

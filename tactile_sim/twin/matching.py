@@ -20,6 +20,7 @@ from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.pose_search import (
+    NEAR_M,
     Paint,
     PoseMatches,
     changes_of,
@@ -93,17 +94,38 @@ class _Refined:
         return self.other_error / self.error
 
 
-def are_off(fit: Fit) -> bool:
-    """Return whether stated poses are too far off for a fit to correct: they explain little of the images."""
+def are_off(fit: Fit) -> Bool:
+    """Return which poses (N,) are too far off for a fit to correct: they explain little of their image."""
     _set_width(fit, _FIT_PX)
     fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
     for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
         fit.step(moving)
-    unexplained = []
     for touch in range(len(fit.poses)):
         fit.residual(touch)
-        unexplained.append(fit.rms[touch] / fit.change(touch))
-    return float(np.median(unexplained)) > _MAX_UNEXPLAINED
+    changes = [fit.change(touch) for touch in range(len(fit.poses))]
+    return np.asarray(fit.rms / changes > _MAX_UNEXPLAINED)
+
+
+def found_poses(fit: Fit, off: Bool, start: SensorModel) -> tuple[Float64, Bool]:
+    """Search the touches that are off (N,) on the whole solid, with the colours of the others.
+
+    Returns the points under the sensor, turns and press depths of all touches, (N, 4), and which of them are
+    likely (N,).
+    """
+    fit.used = ~off
+    for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
+        fit.step(moving)
+    poses = np.column_stack([fit.poses[:, :3], [fit.press_m(touch) for touch in range(len(off))]])
+    press_m = start.gel_mm / 1e3 - start.press_m
+    touches = np.flatnonzero(off).tolist()
+    candidates = _search(fit, touches, poses, tuple(share * press_m for share in _PRESSES[-1]), press_m, None)
+    _set_width(fit, _FIT_PX)
+    refined = [_refined(fit, touch, candidates[touch], _GOOD, 4) for touch in touches]
+    likely = ~off
+    for touch, result in zip(touches, refined, strict=True):
+        poses[touch] = result.at
+        likely[touch] = result.explained >= _MIN_EXPLAINED and result.stands_out >= _STANDS_OUT
+    return poses, likely
 
 
 def matched_poses(
@@ -111,13 +133,16 @@ def matched_poses(
 ) -> tuple[Float64, Bool]:
     """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,).
 
-    ``near`` (N, 3) are stated points and turns, which may be off by up to 5 mm and 17 degrees; with them, all
-    touches count as likely. ``steps`` gets more steps for the search.
+    ``near`` (N, 3) are stated points and turns, which may be off by up to 5 mm and 17 degrees; touches of
+    which they are known count as likely. Those farther away from their solid are searched everywhere on it.
+    ``steps`` gets more steps for the search.
     """
     steps = steps or Steps()
     steps.total += _STEPS
     count = len(recordings)
     fit = start_fit(recordings, np.zeros((count, 3)), None, start)
+    if near is not None:
+        near = _near_solids(fit, near)
     press_m = start.gel_mm / 1e3 - start.press_m
     _set_width(fit, _SEARCH_PX)
     changes = changes_of(fit, range(count))
@@ -144,7 +169,19 @@ def matched_poses(
         likely = _likely([refined[touch] for touch in range(count)])
         if not likely.any():  # then there is nothing to learn colours from
             break
-    return best, likely | (near is not None)
+    return best, likely if near is None else likely | np.isfinite(near[:, 0])
+
+
+def _near_solids(fit: Fit, near: Float64) -> Float64:
+    """Return stated poses (N, 3), NaN for those that no pose on the solid is near to."""
+    poses = near.copy()
+    for touch, object_id in enumerate(fit.recordings.object_ids.tolist()):
+        relief = fit.reliefs[object_id]
+        sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
+        below_m = relief.corner[:2] - near[touch, :2]
+        if (np.maximum(below_m, -sides_m - below_m) > NEAR_M).any():
+            poses[touch] = np.nan
+    return poses
 
 
 def _set_width(fit: Fit, width_px: int) -> None:

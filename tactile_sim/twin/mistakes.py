@@ -37,6 +37,7 @@ _MAX_DISTANCE_M = 1.0  # of a sensor from its object; a setup on a desk is small
 # Correlation of slopes with the change of an image: 0.5 to 0.9 for right poses, about 0 for wrong ones.
 _LOW, _GAIN = 0.35, 0.15
 _SHIFT_PX, _STEP_PX = 6, 2  # shifts that are tried because poses have errors: up to 1.4 mm
+_HEIGHT_ERROR_MM = 1.0  # of the zero of stated heights and the thickness of the gel, together
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 
 _WORDS = {
@@ -63,8 +64,8 @@ class Mistake:
     ----------
     kind : str
         A stable word: ``"channels"``, ``"mesh"``, ``"units"``, ``"mirrored"``, ``"markers"``,
-        ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``, ``"light"``,
-        ``"scale"``.
+        ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``, ``"light"``, ``"scale"``,
+        ``"heights"``, ``"pose"``.
     detail : str
         A sentence that states the mistake and the measured value.
     figure : float
@@ -81,7 +82,7 @@ class Mistake:
     @property
     def is_fatal(self) -> bool:
         """Whether no fit is possible; if the gel changed, the one with more touches is fitted."""
-        return self.kind not in ("saturated", "markers", "gel-changed", "light", "scale")
+        return self.kind not in ("saturated", "markers", "gel-changed", "light", "scale", "heights", "pose")
 
     def __str__(self) -> str:
         return self.detail
@@ -119,8 +120,12 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
         detail = f"no image shows a contact: at most {shares.max():.1%} of one differs from the gel at rest"
         return [*mistakes, Mistake("flat", detail, float(shares.max()))]
     named = {mistake.kind for mistake in mistakes}
-    if recordings.sensor_m is not None and not named & {"channels", "gel-changed", "saturated"}:
-        mistakes += _poses(recordings, change, touching, start)
+    if recordings.sensor_m is not None:
+        compare = _Comparison(recordings, change[touching], np.flatnonzero(touching), start)
+        wrong: list[Mistake] = []
+        if not named & {"channels", "gel-changed", "saturated"}:
+            wrong += _poses(recordings, compare)
+        mistakes += wrong or _heights(recordings, compare, start)
     return mistakes
 
 
@@ -222,9 +227,8 @@ def _markers(recordings: Recordings) -> Iterator[Mistake]:
         )
 
 
-def _poses(recordings: Recordings, change: Float64, touching: Bool, start: SensorModel) -> Iterator[Mistake]:
+def _poses(recordings: Recordings, compare: _Comparison) -> Iterator[Mistake]:
     """Compare the stated poses and solids with likely alternatives."""
-    compare = _Comparison(recordings, change[touching], np.flatnonzero(touching), start)
     stated = compare.agreement(recordings)
     assert recordings.sensor_m is not None, "checked before"
     assert recordings.object_poses is not None, "set when recordings are made"
@@ -259,6 +263,23 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
     yield Mistake("mesh", detail, stated)
 
 
+def _heights(recordings: Recordings, compare: _Comparison, start: SensorModel) -> Iterator[Mistake]:
+    """Compare the stated heights of the sensor with those at which a gel touches the solids."""
+    assert recordings.sensor_m is not None, "checked before"
+    press_m = start.gel_mm / 1e3 + compare.tops_m(recordings) - recordings.sensor_m[compare.touches, 2]
+    known_mm = 1e3 * press_m[np.isfinite(press_m)]
+    if not len(known_mm):
+        return
+    usual_mm = float(np.median(known_mm))
+    if not -_HEIGHT_ERROR_MM < usual_mm < start.gel_mm + _HEIGHT_ERROR_MM:
+        yield Mistake(
+            "heights",
+            f"by z_m, the solids reach {usual_mm:.3g} mm into a gel of {start.gel_mm:g} mm: heights are not "
+            "used, but found from the images",
+            usual_mm,
+        )
+
+
 class _Comparison:
     """Compares the slopes of solids in their poses with the change of images (n, h, w)."""
 
@@ -284,6 +305,16 @@ class _Comparison:
             for key, pose, touch_change in zip(ids, poses[self.touches], change, strict=True)
         ]
         return float(np.median(correlations))
+
+    def tops_m(self, recordings: Recordings) -> Float64:
+        """Return the greatest height of the solid under the sensor at each touch, metres, (n,)."""
+        poses = recordings.poses_on_solids()
+        assert poses is not None, "poses were stated"
+        ids = recordings.object_ids[self.touches]
+        pairs = zip(ids, poses[self.touches], strict=True)
+        return np.array(
+            [self.reliefs[int(key)].sampled(pose, self.half_m, self.size).max() for key, pose in pairs]
+        )
 
     def with_others(self, recordings: Recordings) -> float:
         """Return the median correlation if each touch is of the best of the other solids."""

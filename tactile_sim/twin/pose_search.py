@@ -25,7 +25,9 @@ _PEAK_PX = 5
 _PEAKS = 4  # that are kept of one turn
 _MAX_POSES = 120
 _APART_M, _APART_RAD = 8e-4, 0.15  # closer poses count as one
-_NEAR_M, _NEAR_RAD = 5e-3, 0.3  # greatest distance and turn from a stated pose
+NEAR_M = 5e-3
+"""Greatest distance from a stated pose at which a touch is searched, metres."""
+_NEAR_RAD = 0.3  # greatest turn from it
 _FAINT = 0.03  # of the strongest window: weaker ones, which show little of the solid, count less
 _MIN_GAIN, _MAX_GAIN = 0.6, 1.6  # bounds of the strength of an image, relative to a rendered one
 
@@ -70,13 +72,13 @@ class _Turned:
 
     def is_near(self, near: Float64 | None, touch: int) -> Bool | bool:
         """Return which windows are near the known pose of a touch; True if it is unknown."""
-        if near is None:
+        if near is None or np.isnan(near[touch]).any():
             return True
         x_m, y_m, turn_rad = near[touch]
         turn = (self.turn_rad - turn_rad + np.pi) % (2 * np.pi) - np.pi
         if abs(turn) > _NEAR_RAD:
             return False
-        return np.asarray(np.hypot(self.x_m - x_m, self.y_m - y_m) < _NEAR_M)
+        return np.asarray(np.hypot(self.x_m - x_m, self.y_m - y_m) < NEAR_M)
 
 
 def near_poses(poses: Float64, pose: Float64, apart: tuple[float, float] = (_APART_M, _APART_RAD)) -> Bool:

@@ -215,6 +215,11 @@ class Recordings:
         sensor_m = None if self.sensor_m is None else self.sensor_m[touches]
         return replace(self, **own, names=names, sensor_m=sensor_m)
 
+    def without_heights(self) -> Recordings:
+        """Return the touches without the heights of the sensor, which a fit then finds."""
+        assert self.sensor_m is not None, "heights were stated"
+        return replace(self, sensor_m=np.column_stack([self.sensor_m[:, :2], np.full(len(self), np.nan)]))
+
     def mesh(self, object_id: int) -> Mesh:
         """Return a solid."""
         return Mesh.of(self.solids[object_id])

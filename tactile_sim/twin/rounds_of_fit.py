@@ -109,8 +109,9 @@ def solid_scale(fit: Fit) -> tuple[float, float]:
     poses = fit.recordings.poses_on_solids()
     if poses is None:
         return 1.0, np.inf
-    stated = poses[fit.used, :2] - poses[fit.used, :2].mean(axis=0)
-    matched = fit.poses[fit.used, :2] - fit.poses[fit.used, :2].mean(axis=0)
+    trusted = fit.used & ~fit.off
+    stated = poses[trusted, :2] - poses[trusted, :2].mean(axis=0)
+    matched = fit.poses[trusted, :2] - fit.poses[trusted, :2].mean(axis=0)
     square = float((matched * matched).sum()) + 1e-12
     scale = float((stated * matched).sum()) / square
     return scale, float(np.std(stated - scale * matched) / np.sqrt(square))

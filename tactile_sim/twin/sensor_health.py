@@ -108,7 +108,8 @@ class SensorHealth:
     def cause(self) -> str:
         """What is likely to have moved figures beyond their limits; empty if all are within."""
         beyond = [figure.name for figure in self.figures if not figure.ok]
-        if beyond == ["residual"] and self.recording:
+        are_slight = all(figure.value < 2 * figure.limit for figure in self.figures)
+        if beyond and {*beyond} <= {"residual", "background drift"} and are_slight and self.recording:
             return (
                 f"more likely the recording than the sensor: {self.recording}; record as for the calibration"
             )

@@ -163,6 +163,16 @@ def test_contacts_of_few_touches_are_no_change_of_the_gel(mistake: str | None, n
     assert "gel-changed" not in {each.kind for each in tactile_sim.find_mistakes(recordings_of(made))}
 
 
+@pytest.mark.parametrize(("moved_m", "named"), [(-0.02, ["heights"]), (0.02, ["heights"]), (5e-4, [])])
+def test_heights_that_no_gel_allows_are_named(moved_m: float, named: list[str]) -> None:
+    made = record()
+    moved = replace(made, sensor_m=made.sensor_m + np.array([0.0, 0.0, moved_m]))
+    assert [mistake.kind for mistake in tactile_sim.find_mistakes(recordings_of(moved))] == named
+    moved.sensor_m[:, 2] = 0.0  # as in a table without heights
+    (mistake,) = tactile_sim.find_mistakes(recordings_of(moved))
+    assert (mistake.kind, mistake.is_fatal) == ("heights", False)
+
+
 def test_a_solid_that_is_not_there_is_named() -> None:
     made = record()
     others = {key: solid for key, solid in enumerate(digits(7, seed=40).values()) if key >= 4}

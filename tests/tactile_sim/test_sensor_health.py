@@ -128,8 +128,10 @@ def test_another_compression_or_size_is_named_as_the_cause(
     raw.report |= detail_levels(raw.recording.images)
     usual = raw.recording.images
     assert not health(raw, usual).cause
-    raw.report["noise_levels"] /= 20  # so that the residual is beyond its limit
-    found = health(raw, np.asarray(change(usual), np.uint8))
+    images = np.asarray(change(usual), np.uint8)
+    (residual,) = [figure.value for figure in health(raw, images).figures if figure.name == "residual"]
+    raw.report["noise_levels"] *= residual / 2  # so that the residual is 2, and its limit 1.5
+    found = health(raw, images)
     assert not found.ok
     assert re.search(words, found.cause)
     assert found.to_dict()["cause"] == found.cause

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import fitting, gel, reader, rounds_of_fit, surface_kernels
+from tactile_sim.twin import calibration, fitting, gel, matching, reader, rounds_of_fit, surface_kernels
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
@@ -466,13 +466,32 @@ def test_stated_poses_may_be_off_by_a_millimetre():
     for off, is_off in (((1e-4, np.radians(0.5)), False), ((1e-3, np.radians(5)), True)):
         recording = sensor.record(digits(4), 10, pose_errors=off)
         recordings = recordings_of(recording)
-        assert are_off(begun(recordings)) == is_off
+        assert (are_off(begun(recordings)).mean() > 0.5) == is_off
     stated = recordings.poses_on_solids()
     assert np.median(_away_m(stated, recording)) > 7e-4
     places, likely = matched_poses(recordings, tactile_sim.SENSORS["gelsight-mini"], stated)
     assert likely.all()
     assert np.median(_away_m(places, recording)) < 2e-4
     assert _away_m(places, recording).max() < 1e-3
+
+
+@pytest.mark.thorough
+def test_a_touch_whose_pose_is_off_is_named_and_searched():
+    sensor = dataclasses.replace(draw_sensor(2, "phong", (80, 60)), noise=1.0, jpeg=0)
+    recording = sensor.record(digits(4), 10)
+    recordings = recordings_of(recording)
+    sensor_m = recordings.sensor_m + np.where(np.arange(10)[:, None] == 2, [0.15, 0.0, 0.0], 0.0)
+    moved = dataclasses.replace(recordings, sensor_m=sensor_m)
+    fit = calibration._first_fit(moved, tactile_sim.SENSORS["gelsight-mini"])
+    assert fit.off[2]
+    assert fit.likely[2]
+    assert _away_m(fit.poses, recording)[2] < 1e-3
+    named = [mistake for mistake in calibration._off_poses(fit, np.arange(10)) if mistake.touches == (2,)]
+    assert "was found 150" in str(named[0]) or "was found 149" in str(named[0])
+    # Far away from its solid, a touch is searched everywhere, also if most are off.
+    near = moved.poses_on_solids()
+    assert np.isnan(matching._near_solids(fit, near)[2]).all()
+    assert np.isfinite(np.delete(matching._near_solids(fit, near), 2, axis=0)).all()
 
 
 def _away_m(places: np.ndarray, recording: Recording) -> np.ndarray:
