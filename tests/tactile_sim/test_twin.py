@@ -482,7 +482,7 @@ def test_a_touch_whose_pose_is_off_is_named_and_searched():
     recordings = recordings_of(recording)
     sensor_m = recordings.sensor_m + np.where(np.arange(10)[:, None] == 2, [0.15, 0.0, 0.0], 0.0)
     moved = dataclasses.replace(recordings, sensor_m=sensor_m)
-    fit = calibration._first_fit(moved, tactile_sim.SENSORS["gelsight-mini"])
+    fit = calibration._first_fit(moved, tactile_sim.SENSORS["gelsight-mini"], fitting.Steps())
     assert fit.off[2]
     assert fit.likely[2]
     assert _away_m(fit.poses, recording)[2] < 1e-3
