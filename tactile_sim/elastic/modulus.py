@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile_sim.elastic.contact import Gel, GelLoad, solve_contact
-from tactile_sim.user_values import finite_array
+from tactile_sim.user_values import finite_array, shown
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Float64
 
@@ -50,8 +50,7 @@ def fit_youngs_modulus(
     pad_m: tuple[float, float],
     ball_radius_m: float | None = None,
     post_radius_m: float | None = None,
-    poisson_ratio: float = 0.49,
-    friction: float = 0.5,
+    gel: Gel | None = None,
 ) -> GelFit:
     """Find Young's modulus of a gel from presses of a ball or a flat post, or onto a bare plate.
 
@@ -71,8 +70,8 @@ def fit_youngs_modulus(
         Width and height of the gel, metres: often more than the image shows.
     ball_radius_m, post_radius_m : float, optional
         Radius of a ball, or of a round post with a flat end, metres, pressed onto the middle of the gel.
-    poisson_ratio, friction : float
-        The other properties of the gel, see :class:`tactile_sim.Gel`.
+    gel : Gel, optional
+        Poisson's ratio and friction of the gel, those of a plain :class:`tactile_sim.Gel` by default.
 
     Returns
     -------
@@ -95,18 +94,15 @@ def fit_youngs_modulus(
     """
     if ball_radius_m is not None and post_radius_m is not None:
         raise InputError("ball_radius_m and post_radius_m are given; expected one of them, or none")
-    depths, forces = _checked_presses(depth_m, force_n, 2 if ball_radius_m is None else 3)
-    slope = float(np.polyfit(depths, forces, 1)[0])
-    if slope <= 0:
-        raise InputError(
-            "the force does not grow with the depth; expected depths that grow into the gel, metres",
-            next="change the sign of depth_m",
-        )
+    depths, forces, slope = _checked_presses(depth_m, force_n, 2 if ball_radius_m is None else 3)
     thickness = _length("thickness_m", thickness_m)
     expected = "width and height, metres"
     sides = finite_array(pad_m, "pad_m", (2,), expected, most=_MAX_SIDE_M).tolist()
     width, height = (_length("pad_m", side) for side in sides)
-    gel = Gel(_REFERENCE_PA, poisson_ratio, friction)
+    gel = Gel() if gel is None else gel
+    if not isinstance(gel, Gel):
+        raise InputError(f"gel is {shown(gel)}; expected a Gel, such as tactile_sim.Gel(friction=0.3)")
+    gel = replace(gel, youngs_modulus_pa=_REFERENCE_PA)
     layer = f"a layer of {1e3 * thickness:.4g} mm without sides"
     if ball_radius_m is not None:
         radius = _length("ball_radius_m", ball_radius_m)
@@ -127,8 +123,11 @@ def fit_youngs_modulus(
     return GelFit(replace(gel, youngs_modulus_pa=modulus_pa), assumption)
 
 
-def _checked_presses(depth_m: ArrayLike, force_n: ArrayLike, least: int) -> tuple[Float64, Float64]:
-    """Return depths and forces (n,) of at least so many different depths; InputError for anything else."""
+def _checked_presses(depth_m: ArrayLike, force_n: ArrayLike, least: int) -> tuple[Float64, Float64, float]:
+    """Return depths and forces (n,) of at least so many different depths, and force by depth, N / m.
+
+    Raises InputError for anything else, and where the force does not grow with the depth.
+    """
     expected = f"finite numbers, one for each press, at most {_MAX_NUMBER:g}"
     depths = finite_array(depth_m, "depth_m", (None,), expected, most=_MAX_NUMBER)
     forces = finite_array(force_n, "force_n", (None,), expected, most=_MAX_NUMBER)
@@ -137,7 +136,13 @@ def _checked_presses(depth_m: ArrayLike, force_n: ArrayLike, least: int) -> tupl
             f"depth_m has {len(np.unique(depths))} depths and {len(depths)} numbers, force_n {len(forces)}; "
             f"expected as many numbers each, of {least} depths or more"
         )
-    return depths, forces
+    slope = float(np.polyfit(depths, forces, 1)[0])
+    if slope <= 0:
+        raise InputError(
+            "the force does not grow with the depth; expected depths that grow into the gel, metres",
+            next="change the sign of depth_m",
+        )
+    return depths, forces, slope
 
 
 def _length(name: str, value: object) -> float:
@@ -201,14 +206,14 @@ def _fit_ball(
         return float(np.var(depths_m - deep_m))
 
     softest, stiffest = (math.log(forces_n.max() / force) for force in (forces[-1], forces[0]))
-    found = minimize_scalar(zero_spread, bounds=(softest, stiffest), method="bounded")
-    if found.x < softest + _AT_BOUND:
+    log_modulus = minimize_scalar(zero_spread, bounds=(softest, stiffest), method="bounded").x
+    if log_modulus < softest + _AT_BOUND:
         raise InputError(
             "holds presses deeper than half of the gel or of the ball, where linear theory ends",
             next="leave out the deepest presses",
             field="depth_m",
         )
-    modulus_pa = math.exp(found.x)
+    modulus_pa = math.exp(log_modulus)
     return modulus_pa, float(np.interp(forces_n.max() / modulus_pa, forces, reaches_m))
 
 

@@ -224,7 +224,8 @@ def test_the_modulus_of_a_pad_under_a_plate_is_that_of_the_elements(poisson, fri
     _, compliance = pad_under_a_plate(poisson)
     force_n = 4 * plate_force(compliance, friction)
     presses = {"depth_m": [0, DEPTH_M], "force_n": [0, force_n], "thickness_m": LAYER_M}
-    fit = tactile_sim.fit_youngs_modulus(**presses, pad_m=PAD_M, poisson_ratio=poisson, friction=friction)
+    gel = tactile_sim.Gel(poisson_ratio=poisson, friction=friction)
+    fit = tactile_sim.fit_youngs_modulus(**presses, pad_m=PAD_M, gel=gel)
     assert fit.gel.youngs_modulus_pa == pytest.approx(E_PA, rel=0.03)
     assert "sides are free" in fit.assumption
 
@@ -238,6 +239,7 @@ def test_the_modulus_by_a_ball_in_the_middle_of_a_pad_is_that_of_the_elements(po
     depths_m = np.linspace(2e-4, 6e-4, 5)
     forces_n = [4 * elements(compliance, depth_m - below_m, is_stuck=False)[0] for depth_m in depths_m]
     presses = {"depth_m": depths_m, "force_n": forces_n, "thickness_m": LAYER_M, "ball_radius_m": radius_m}
-    fit = tactile_sim.fit_youngs_modulus(**presses, pad_m=PAD_M, poisson_ratio=poisson, friction=0.0)
+    gel = tactile_sim.Gel(poisson_ratio=poisson, friction=0.0)
+    fit = tactile_sim.fit_youngs_modulus(**presses, pad_m=PAD_M, gel=gel)
     assert fit.gel.youngs_modulus_pa == pytest.approx(E_PA, rel=0.05)
     assert "without sides" in fit.assumption

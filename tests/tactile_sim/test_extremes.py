@@ -91,6 +91,7 @@ CALLS: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
             "pad_m": (0.02, 0.02),
             "ball_radius_m": None,
             "post_radius_m": None,
+            "gel": None,
         },
     ),
     "Shape": (tactile_sim.Shape, {"kind": "box", "size_m": (0.01, 0.01, 0.01)}),

@@ -404,7 +404,7 @@ def test_the_commands_press(tmp_path, capsys):
     assert (np.abs(record.extra["twist_rad"]) <= np.radians(5)).all()
 
 
-PAD = {"thickness_m": 0.00425, "pad_m": (0.025, 0.02), "poisson_ratio": 0.48}
+PAD = {"thickness_m": 0.00425, "pad_m": (0.025, 0.02), "gel": Gel(poisson_ratio=0.48)}
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,9 @@ RECORD = recorded()
 
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
-CHANGING = {"_Training", "DiskCache", "_Object", "_Row", "MeshPool", "Section", "Fit", "Topic"}
+CHANGING = {"_Training", "DiskCache", "_Object", "_Row", "MeshPool", "Section", "Fit", "Topic", "Steps"}
 """Dataclasses that change: a training, a cache, part of a file, a row of a plate, a growing pool, a check, a
-fit, a topic whose messages are read."""
+fit, a topic whose messages are read, progress."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)
