@@ -2,6 +2,7 @@
 
 Blocks run in the order of the pages, in the folder at hand. ``bash`` holds commands of this toolkit,
 ``shell`` those of other programs, which do not run here.
+``COMMAND > FILE`` keeps what the command prints.
 ``python`` blocks of a page share their names; one that begins with ``# with the extra `NAME` `` runs where
 that extra is given. A ``text`` block directly below one that ran is what it printed, ``...`` standing for
 anything.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import ast
 import io
+import linecache
 import multiprocessing
 import os
 import re
@@ -96,12 +98,16 @@ def commands(text: str) -> list[str]:
     return [line for line in lines if line.strip() and not line.startswith("#")]
 
 
-def _program(command: str) -> list[str]:
-    """Return the words of ``.venv/bin/mnist3d ...``, with patterns of files as the shell replaces them."""
+def _program(command: str) -> tuple[list[str], str]:
+    """Return the words of ``.venv/bin/mnist3d ... > FILE``, and the file, empty without one.
+
+    Patterns of files are replaced as the shell does.
+    """
     bare = command.rpartition("&&")[2].strip().removeprefix(".venv/bin/")
+    bare, _, file = bare.partition(" > ")
     name, *arguments = shlex.split(bare, comments=True)
     files = [sorted(map(str, Path().glob(each))) if "*" in each else [each] for each in arguments]
-    return [name, *chain.from_iterable(files)]
+    return [name, *chain.from_iterable(files)], file
 
 
 def main() -> None:
@@ -136,13 +142,16 @@ def _shell(page: str, text: str) -> Iterator[str]:
         if not any(words in command.rpartition("&&")[2] for words in ("pytest", "pip install")):
             with tempfile.TemporaryDirectory() as folder:
                 # Forked from a process that has imported all that commands need, which takes each 1 s.
-                process = _READY.Process(target=_command, args=(_program(command), folder))
+                words, file = _program(command)
+                process = _READY.Process(target=_command, args=(words, folder))
                 process.start()
                 process.join()
                 printed, complaints = (Path(folder, name).read_text("utf-8") for name in _STREAMS)
             if process.exitcode:
                 sys.exit(f"{page}: {command}\n{printed}{complaints}")
-            yield printed
+            if file:
+                Path(file).write_text(printed, "utf-8")
+            yield "" if file else printed
 
 
 def _command(words: list[str], folder: str) -> None:
@@ -155,6 +164,8 @@ def _command(words: list[str], folder: str) -> None:
 
 def _python(page: str, text: str, names: dict[str, Any]) -> str:
     printed = io.StringIO()
+    # Libraries look up the source of functions; without this they would find lines of this file.
+    linecache.cache[page] = (len(text), None, text.splitlines(keepends=True), page)
     with redirect_stdout(printed):
         exec(compile(text, page, "exec"), names)
     return printed.getvalue()

@@ -513,8 +513,8 @@ def named_on_hub(name: str, revision: str | None) -> HubName:
     named = hub.hub_name(repo_id, revision)
     if named is None:
         near = [entry.name for kind in kinds() for entry in kind.published]
-        path = store.local_path(name)
-        with suppress(OSError):
+        with suppress(OSError, errors.InputError):  # an unknown user's home
+            path = store.local_path(name)
             near += map(str, path.parent.iterdir() if path else ())
         raise errors.InputError(
             f"{wording.shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, "
