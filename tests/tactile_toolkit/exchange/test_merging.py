@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-import torch
 
 import mnist3d
 import realtouch
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCHES
-from realtouch.touch_tensors import TouchTensors
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_sets
@@ -127,13 +125,6 @@ def test_unlike_sets_merge_and_load(make, tmp_path, capsys):
     rows = datasets.load_dataset(str(out), split="train")
     assert rows["source_id"] == merged.column("source_id").tolist()
     assert len(merged.touches().to_hf()) == len(before)
-    tensors = TouchTensors(
-        merged,
-        transform=lambda image: torch.nn.functional.interpolate(image[None].float(), (8, 8))[0],
-        frames="contact_end",
-    )
-    batches = list(torch.utils.data.DataLoader(tensors, batch_size=4))
-    assert sum(len(images) for images, _ in batches) == len(before)
     # A part of it, and another size, are data sets with the same columns.
     assert call("tactile", "split", out, "--fractions", "0.5,0.5", "--out", tmp_path / "parts", "-w", 1) == 0
     assert call("tactile", "verify", tmp_path / "parts" / "part-1", "-q") == 0
@@ -143,6 +134,16 @@ def test_unlike_sets_merge_and_load(make, tmp_path, capsys):
     assert resized.in_contact().tolist() == contact
     realtouch.select(out, tmp_path / "contact", contact=True)
     assert len(realtouch.load(tmp_path / "contact", "train").touches()) == sum(contact)
+    torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
+    from realtouch.touch_tensors import TouchTensors
+
+    tensors = TouchTensors(
+        merged,
+        transform=lambda image: torch.nn.functional.interpolate(image[None].float(), (8, 8))[0],
+        frames="contact_end",
+    )
+    batches = list(torch.utils.data.DataLoader(tensors, batch_size=4))
+    assert sum(len(images) for images, _ in batches) == len(before)
     if make is clips_and_their_stills:
         with pytest.raises(InputError, match="holds clips and images; expected only one of them"):
             realtouch.clips_to_images(out, tmp_path / "none")
