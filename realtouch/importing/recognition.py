@@ -140,13 +140,14 @@ def reason_unread(path: str, layout: str) -> str:
     return f"not of the format {layout}" if known is None else known.name
 
 
-def _refuse_foreign(folder: store.DataFolder, paths: Sequence[str], head: bytes = b"") -> None:
+def _refuse_foreign(folder: store.DataFolder, paths: Sequence[str], head: bytes | None = None) -> None:
     """Raise InputError for the first path of a known format that is not read, by name or first bytes."""
     for path in paths:
-        known = known_formats.KnownFormat.by_ending(path)
-        if known is None and head:
-            known = known_formats.KnownFormat.of(head)
-        if known is None or known.key in _READ:
+        candidates = [known_formats.KnownFormat.by_ending(path)]
+        if head is not None:
+            candidates.append(known_formats.KnownFormat.of(head))
+        known = next((known for known in candidates if known and known.key not in _READ), None)
+        if known is None:
             continue
         what = known.name
         advice = _STEPS.get(known.key, known.step)
@@ -192,7 +193,8 @@ def _of_file(path: str) -> Recognised:
         return Recognised(_LAYOUTS[known.key], name)
     start = head[:8].hex(" ")
     raise errors.InputError(
-        f"{path!r} begins with {start}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
+        f"{path!r} begins with {start}; expected a video, a tar, a ROS bag, or a file of Parquet, HDF5 or "
+        "Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )
 

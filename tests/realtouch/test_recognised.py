@@ -100,6 +100,13 @@ def test_what_is_not_recognised_is_named(layouts, name, words, tmp_path):
         recognised(str(tmp_path / name))
 
 
+@pytest.mark.parametrize("name", ["run.mcap", "a.mp4", "a"])
+def test_an_empty_file_is_called_so_whatever_its_name(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(InputError, match="is an empty file; next: copy"):
+        recognised(str(tmp_path / name))
+
+
 @pytest.mark.parametrize("layout", [layout for layout in get_args(ExportLayout) if layout != "minari"])
 def test_an_export_is_recognised_by_its_manifest(layout: str, single_folder: Path, tmp_path: Path) -> None:
     realtouch.export(single_folder, tmp_path / "out", layout, split="train", limit=1)  # type: ignore[arg-type]
