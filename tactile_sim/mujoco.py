@@ -19,7 +19,7 @@ from tactile_sim.press.elastic_press import MAX_SHARE, marker_positions_px
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Renderer, inverse_times
 from tactile_sim.press.sensors import Sensor, SensorModel, geometry_of
-from tactile_sim.user_values import finite_array
+from tactile_sim.user_values import finite_array, shown
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.value_types import Float64, Int32, UInt8
@@ -225,6 +225,11 @@ class GelCallback:
     """
 
     def __init__(self, *gels: GelSensor) -> None:
+        strange = [gel for gel in gels if not isinstance(gel, GelSensor)]
+        if strange:
+            raise InputError(
+                f"a gel is {shown(strange[0])}; expected sensors, as in GelCallback(left, right)"
+            )
         if not gels or any(gel.data is not gels[0].data for gel in gels):
             raise InputError(f"there are {len(gels)} gels; expected one or more, of the same model and data")
         self._gels = gels

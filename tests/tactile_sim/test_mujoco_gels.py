@@ -339,3 +339,5 @@ def test_models_that_do_not_fit_are_refused():
         GelCallback(gel)(model, data)
     with pytest.raises(InputError, match="there are 0 gels"):
         GelCallback()
+    with pytest.raises(InputError, match=r"as in GelCallback\(left, right\)"):
+        GelCallback([gel])
