@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from realtouch import kind, touch_card
 from realtouch.touches import datasets, loading, schema, stored_round
-from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
+from tactile_toolkit import cards, catalog, checked_fields, errors, places, read, store, touch
 from tactile_toolkit.value_types import JsonObject
 
 Made = tuple[pa.Table, Mapping[str, bytes]]
@@ -394,11 +394,10 @@ def plan_build(
         **conversion.options,
         "limit": rows.limit,
         **{name: value for name, value in filters.items() if value is not None},
+        **cards.inherited_options([opened.place]),
     }
     origin = schema.origin_of(opened.schema, opened.manifest())
     # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
-    if opened.unfinished:
-        options["unfinished"] = opened.unfinished
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
         options["touches"] = origin
     sensor = schema.sensor_of(opened.schema, opened.manifest())

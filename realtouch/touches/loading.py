@@ -167,11 +167,15 @@ def parts_of(data_set: places.Place, split: str | None) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Source:
-    """A data set to convert: its name as the user gave it, and the shards of each split."""
+    """A data set to convert, and the shards of each split."""
 
-    name: str
+    place: places.Place
     shards: Mapping[str, tuple[read.Shard, ...]]
-    unfinished: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the data set, as the user gave it."""
+        return self.place.name
 
     @classmethod
     def open(cls, name: places.Name | places.Place, split: str | None = None) -> Source:
@@ -184,7 +188,7 @@ class Source:
         shards = {part: data_set.shards(part, kind=kind.KIND) for part in splits}
         for files in shards.values():
             deque(run.in_threads(schema.require_types, files, _READERS), maxlen=0)
-        return cls(data_set.name, shards, data_set.unfinished)
+        return cls(data_set, shards)
 
     @property
     def kind(self) -> schema.Kind:

@@ -7,6 +7,7 @@ from .card import (
     rewrite_card as rewrite_card,
 )
 from .licences import (
+    inherited_options as inherited_options,
     licence_of as licence_of,
     LICENCE as LICENCE,
     source_column as source_column,

@@ -197,6 +197,10 @@ class Card:
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
         terms = {}
+        stated = ((manifest and manifest.spec.get("options")) or {}).get(licences.LICENCE, self.licence)
+        if stated != self.licence:
+            head["license"] = stated
+            terms["licence_text"] = f"{wording.markdown_text(stated)}, as the card of the source states."
         sources = licences.rows_by_source(facts)
         if sources:
             head["license"] = licences.strictest([source.licence for source in sources])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 from tactile_toolkit import places, read
@@ -44,6 +44,23 @@ def licence_of(place: places.Place) -> str:
     if not isinstance(stated, str) or not stated.isprintable():
         return UNKNOWN
     return stated.lower().replace(" ", "-")
+
+
+def inherited_options(sources: Iterable[places.Place]) -> dict[str, str]:
+    """Return, for the specification of a copy, what its sources state.
+
+    ``unfinished`` is how much of each unfinished one was finished, ``licence`` the licence of all; each is
+    left out if there is none.
+    """
+    opened = list(sources)
+    options: dict[str, str] = {}
+    licence = strictest({licence_of(source) for source in opened})
+    if licence != UNKNOWN:
+        options[LICENCE] = licence
+    counts = [source.unfinished for source in opened if source.unfinished]
+    if counts:
+        options["unfinished"] = ", ".join(counts)
+    return options
 
 
 def source_column(names: Collection[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate
@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, errors, mesh, places, read, run, store, touch, wording
+from tactile_toolkit import cards, catalog, errors, mesh, places, read, run, store, touch, wording
 from tactile_toolkit.kind import EXPORT, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh import records
 from tactile_toolkit.store.manifest import VIEWER_FOLDER, ShardRecord
@@ -206,7 +206,7 @@ def plan_tables(
     }
     if chosen.per_class is not None:
         options["per_class"] = chosen.per_class
-    options |= unfinished_counts([place])
+    options |= cards.inherited_options([place])
     every = (shard.path for files in shards.values() for shard in files)
     store.open_folder(out).refuse_source(place.name, every)
     return copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
@@ -245,12 +245,16 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
 class Source:
     """A data set; ``spec`` is the specification by which its rows were first made, if it is known."""
 
-    name: str
+    place: places.Place
     spec: JsonObject | None
     is_imported: bool
     shards: Mapping[str, tuple[read.Shard, ...]]
-    unfinished: str = ""
     sensor: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the data set, as the user gave it."""
+        return self.place.name
 
     @property
     def table(self) -> read.ShardedTable:
@@ -264,12 +268,12 @@ def open_source(kind: DatasetKind, name: places.Name | places.Place, command: st
     manifest = place.manifest
     shards = {split: place.shards(split, kind=kind) for split in place.splits}
     if manifest is None:
-        return Source(place.name, None, False, shards)
+        return Source(place, None, False, shards)
     options = manifest.spec.get("options") or {}
     is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
     spec = manifest.spec.get("source_spec", manifest.spec)
     sensor = touch.sensor_name(manifest.spec)
-    return Source(place.name, spec, is_imported, shards, place.unfinished, sensor)
+    return Source(place, spec, is_imported, shards, sensor)
 
 
 def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:
@@ -318,7 +322,7 @@ def build_copy(
     ]
     if not tasks:
         raise errors.InputError(f"no row is left for {out!r}", next="choose a larger part")
-    options = {**options, **unfinished_counts(sources)}
+    options = {**options, **cards.inherited_options(source.place for source in sources)}
     specs = [source.spec for source in sources]
     if any(source.is_imported for source in sources):
         options = {**options, "touches": "imported"}  # the terms of their source apply
@@ -339,14 +343,6 @@ def build_copy(
     }
     plan = copy_plan(made, operation, options, shards_of, source_spec, tasks, _style(sources))
     return store.build(folder, plan, write_card=made.write_card, **run)
-
-
-def unfinished_counts(sources: Iterable[Source | places.Place]) -> dict[str, str]:
-    """Return, for the specification of a copy, how much of each unfinished source was finished."""
-    counts = [source.unfinished for source in sources if source.unfinished]
-    if counts:
-        return {"unfinished": ", ".join(counts)}
-    return {}
 
 
 def copy_plan(

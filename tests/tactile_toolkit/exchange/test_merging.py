@@ -15,6 +15,7 @@ import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCHES
 from starstruck_gen.kind import KIND as SCENES
+from tactile_toolkit import cards, places
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_sets
 from tactile_toolkit.exchange.merging import common_type, source_names, unique_ids
@@ -266,3 +267,29 @@ def test_names_of_sources_are_as_short_as_they_differ(tmp_path: Path) -> None:
     assert source_names(["x/touches", "y/other"]) == ["touches", "other"]
     assert source_names(["x/set", "y/set"]) == ["x/set", "y/set"]
     assert source_names(["s3://bucket/a/set", "hub/name@main"]) == ["set", "name@main"]
+
+
+def test_copies_keep_the_licence_that_their_source_states(tmp_path: Path) -> None:
+    touches = recorded(tmp_path / "touches", OWN)
+    digits = tmp_path / "digits"
+    words = ("generate", "--split", "test", "--per-class", 1, "--vertices", 2_000)
+    assert call("mnist3d", *words, "--out", digits, "-w", 1, "-q") == 0
+    copies = {
+        "split": ("tactile", "split", "--fractions", "0.5,0.5"),
+        "select": ("tactile", "select", "--limit", 2),
+    }
+    flat = ("tactile", "export", "--format", "flat")
+    commands = {
+        touches: {**copies, "resize": ("realtouch", "resize", "--size", "32x24"), "flat": flat},
+        digits: {**copies, "flat": flat},
+    }
+    for source, licence in ((touches, "cc-by-nc-4.0"), (digits, "other")):
+        assert call("tactile", "card", source, "--license", licence, "-q") == 0
+        for name, (program, command, *options) in commands[source].items():
+            out = tmp_path / f"{source.name}-{name}"
+            assert call(program, command, source, *options, "--out", out, "-w", 1, "-q") == 0
+            folder = out / "part-1" if name == "split" else out
+            card = (folder / "README.md").read_text()
+            assert f"license: {licence}\n" in card, folder
+            assert f"\n{licence}, as the card of the source states." in card, folder
+            assert cards.licence_of(places.open_place(folder)) == licence
