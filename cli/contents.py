@@ -12,7 +12,7 @@ import typer
 from cli import application, options, output, runs
 from tactile_toolkit import catalog, checked_fields, places, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import SELECT, Checked, DatasetKind, lazy
+from tactile_toolkit.kind import SELECT, DatasetKind, lazy
 from tactile_toolkit.value_types import JsonDict, JsonValue
 from tactile_toolkit.wording import bytes_text, with_count
 
@@ -230,8 +230,7 @@ def verify(
     """
     place = name_options.open(sink, name)
     # Before files are checked, which takes long. A single file is opened as any split.
-    if not (place.is_file or split in (None, "all", *place.splits)):
-        raise places.unknown_split(str(split), place.splits, place.name)
+    place.chosen_splits(None if split == "all" else split)
     chosen = place.choose_kind(kind)
     is_for_others = place.manifest is not None and place.manifest.is_for_others
     if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others):
@@ -361,7 +360,7 @@ def print_content(
     with sink.progress("checking", nouns) as update:
         chosen = None if split == "all" else split
         processes = options.process_count(workers)
-        results: list[Checked] = [
+        results = [
             kind.check_content(source, chosen, limit, processes, on_progress=update, **further)
             for source in sources
         ]

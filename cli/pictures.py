@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -98,8 +98,9 @@ def preview(
 
 def _preview_spec(kind: DatasetKind, drawing: options.UserOptions) -> object:
     """Return the options of the previews of a kind; InputError for one that it does not have."""
-    options.refuse({name: True for name in drawing if name not in kind.preview_options}, kind.nouns)
-    return kind.preview_spec(**drawing)
+    known = {field.name for field in fields(kind.preview_class)}
+    options.refuse({name: True for name in drawing if name not in known}, kind.nouns)
+    return kind.preview_class(**drawing)
 
 
 def _write(
@@ -160,8 +161,7 @@ def gallery(
     start_s = time.monotonic()
     try:
         with sink.progress("making the gallery", page.nouns[1]) as update:
-            site = galleries.build_site(
-                page,
+            site = page.write(
                 str(out),
                 options.process_count(job.workers),
                 overwrite=job.overwrite,

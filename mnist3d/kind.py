@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.kind import SHEET_OPTIONS, DatasetKind, lazy, tactile_mnist_set
+from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
 KIND = DatasetKind(
     name="mnist3d",
@@ -19,8 +19,7 @@ KIND = DatasetKind(
     # Counts here and in the other kinds: Tactile MNIST paper and the documentation of the published loaders.
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.digit_previews:plan_previews"),
-    preview_spec=lazy("mnist3d.digit_options:DigitPreviewSpec"),
-    preview_options=(*SHEET_OPTIONS, "images", "writer_info", "unit"),
+    preview_spec="mnist3d.digit_options:DigitPreviewSpec",
     facts=lazy("mnist3d.digit_card:facts"),
     check_content=lazy("mnist3d.digit_checks:check_content"),
     plan_gallery=lazy("mnist3d.digit_previews:plan_gallery"),

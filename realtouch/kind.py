@@ -67,7 +67,6 @@ KIND = DatasetKind(
         *(tactile_mnist_set(*entry) for entry in _RENDERED),
     ),
     plan_previews=lazy("realtouch.touch_previews:plan_previews"),
-    preview_spec=lazy("realtouch.touch_options:TouchPreviewSpec"),
-    preview_options=("kinds", "split", "round_number", "touches"),
+    preview_spec="realtouch.touch_options:TouchPreviewSpec",
     plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
 )

@@ -189,9 +189,9 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
     return int(_integer_rule(least, most, False, {}).checked(value, name))
 
 
-def checked_number(value: object, name: str, least: float = -math.inf, most: float = math.inf) -> float:
-    """Return a finite number within bounds; InputError, which begins with ``name``, for anything else."""
-    rule: Rule = real(least=least, most=most).metadata[_RULE]
+def checked_number(value: object, name: str) -> float:
+    """Return a finite number; InputError, which begins with ``name``, for anything else."""
+    rule: Rule = real().metadata[_RULE]
     return float(rule.checked(value, name))
 
 

@@ -75,12 +75,16 @@ def lazy(path: str) -> AnyCall:
 
     So ``--help`` and looking up a name import no library of a kind.
     """
-    module, _, name = path.partition(":")
 
     def call(*args: object, **options: object) -> Any:
-        return attrgetter(name)(import_module(module))(*args, **options)
+        return _imported(path)(*args, **options)
 
     return call
+
+
+def _imported(path: str) -> Any:
+    module, _, name = path.partition(":")
+    return attrgetter(name)(import_module(module))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +124,7 @@ def tactile_mnist_set(
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
 
-SHEET_OPTIONS = ("kinds", "split", "ids", "labels", "per_class", "limit")
-"""Options of previews of meshes."""
-
 _SOLIDS = lazy("tactile_toolkit.mesh:SolidDataset")
-_SHEET_SPEC = lazy("tactile_toolkit.catalog:PreviewSpec")
 _SHEETS = lazy("tactile_toolkit.pictures.previews:plan_sheets")
 
 
@@ -210,8 +210,8 @@ class DatasetKind:
         folders are a user's to ``--overwrite``.
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set; sheets of solids by default.
-    preview_options : tuple of str
-        Fields of ``preview_spec``, the class of the options of ``plan_previews``.
+    preview_spec : str
+        Path, as of :func:`lazy`, of the dataclass of the options of ``plan_previews``.
     facts : callable or None
         Takes a ``DataFolder`` and the ``Manifest`` of a finished data set, returns its :class:`Facts`.
     check_content : callable or None
@@ -242,11 +242,10 @@ class DatasetKind:
     published: tuple[PublishedSet, ...] = ()
     extra_files: tuple[str, ...] = ()
     plan_previews: AnyCall = _not_offered
-    preview_spec: AnyCall = _SHEET_SPEC
-    preview_options: tuple[str, ...] = SHEET_OPTIONS
+    preview_spec: str = "tactile_toolkit.catalog:PreviewSpec"
     plan_gallery: AnyCall = _not_offered
     facts: AnyCall | None = None
-    check_content: AnyCall | None = None
+    check_content: Callable[..., Checked] | None = None
     dataset: AnyCall = _SOLIDS
     default_set: AnyCall | None = None
 
@@ -259,6 +258,12 @@ class DatasetKind:
     def load(self, name: object, split: str) -> Any:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
+
+    @property
+    def preview_class(self) -> type[Any]:
+        """Class of the options of previews, imported on first use."""
+        options: type[Any] = _imported(self.preview_spec)
+        return options
 
     @property
     def has_touches(self) -> bool:

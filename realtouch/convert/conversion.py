@@ -280,7 +280,7 @@ class _ConvertRows:
 
 
 def _chunks(
-    choices: Sequence[RowChoice], size: int, absent: Sequence[tuple[str, ...]]
+    choices: Sequence[RowChoice], size: int, absent: Sequence[tuple[str, ...] | None]
 ) -> list[Sequence[RowChoice]]:
     """Divide rows into shards; all rows of a shard lack the same columns, those of ``absent``."""
     ends = [0, *accumulate(len(list(alike)) for _, alike in groupby(absent))]
@@ -312,10 +312,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         if conversion.rows_per_shard is None:  # a large split gets shards as large as a worker can hold
             most = max(per_shard, _SHARD_BYTES // row_bytes)
             size = min(store.rows_per_shard(len(choices), per_shard), most)
-        absent = [tuple[str, ...]()] * len(shards)
-        is_merged = read.is_merged(shards[0].schema)
-        if is_merged:
-            absent = [read.absent_columns(shard.schema) for shard in shards]
+        absent = [read.absent_columns(shard.schema) for shard in shards]
         chunks = _chunks(choices, size, [absent[_file_of(starts, choice)] for choice in choices])
         for index, chunk in enumerate(chunks):
             first, last = (_file_of(starts, chunk[end]) for end in (0, -1))
@@ -325,7 +322,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
                 step,
                 new_schema,
                 conversion.pack,
-                absent[first] if is_merged else None,
+                absent[first],
             )
             tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, convert_rows))
     spec = {

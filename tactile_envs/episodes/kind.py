@@ -15,8 +15,7 @@ KIND = DatasetKind(
     write_card=lazy("tactile_envs.episodes.recording:write_card"),
     needs=("sensor_image",),
     plan_previews=lazy("realtouch.touch_previews:plan_previews"),
-    preview_spec=lazy("realtouch.touch_options:TouchPreviewSpec"),
-    preview_options=("kinds", "split", "round_number", "touches"),
+    preview_spec="realtouch.touch_options:TouchPreviewSpec",
     plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
     facts=lazy("tactile_envs.episodes.recording:facts"),
 )

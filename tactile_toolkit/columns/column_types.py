@@ -106,9 +106,9 @@ def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
     return bool((np.isinf(numbers) | (is_whole & (np.abs(numbers) >= _MAX_EXACT))).any())
 
 
-def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
-    """Convert the texts of a table to a column of the type that they state."""
-    words = _words_of(texts, decimal_commas=decimal_commas)
+def from_text(texts: pa.Array) -> pa.Array:
+    """Convert texts to a column of the type that they state."""
+    words = _words_of(texts)
     return _as_type(texts, words, _text_type(words))
 
 

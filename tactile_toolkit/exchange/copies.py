@@ -16,6 +16,7 @@ import pyarrow as pa
 from tactile_toolkit import cards, catalog, errors, mesh, places, read, run, store, touch, wording
 from tactile_toolkit.kind import EXPORT, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh import records
+from tactile_toolkit.places import split_files
 from tactile_toolkit.store.manifest import VIEWER_FOLDER, ShardRecord
 from tactile_toolkit.value_types import Int64, JsonObject
 
@@ -101,7 +102,7 @@ def _chosen_rows(place: places.Place, datasets: Mapping[str, Any], chosen: JsonO
     filters = dict(chosen)
     only = filters.pop("split", None)
     if only not in (None, *datasets):
-        raise places.unknown_split(only, tuple(datasets), place.name)
+        raise split_files.unknown_split(only, tuple(datasets), place.name)
     among = [item for item in datasets.items() if only in (None, item[0])]
     taken = {split: rows for split, _, rows in catalog.choose_rows(among, **filters)}
     return dict.fromkeys(datasets, np.zeros(0, np.int64)) | taken

@@ -236,7 +236,9 @@ class _MergedShard:
             arrays["label"] = self._new_labels(rows, arrays["label"])
         absent = {column.name: column.type for column in self.schema if column.name not in arrays}
         arrays |= {name: pa.nulls(len(table), data_type) for name, data_type in absent.items()}
-        schema = read.with_absent(self.schema, absent) if read.is_merged(self.schema) else self.schema
+        schema = self.schema
+        if read.absent_columns(schema) is not None:
+            schema = read.with_absent(schema, absent)
         return store.ShardContent(pa.table([arrays[name] for name in schema.names], schema=schema))
 
     def _new_labels(self, rows: read.RowGroup, labels: pa.Array) -> pa.Array:

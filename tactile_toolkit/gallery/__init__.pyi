@@ -4,6 +4,3 @@ from .site import (
     Gallery as Gallery,
     GalleryItem as GalleryItem,
 )
-from .site import (
-    build_site as build_site,
-)

@@ -213,6 +213,49 @@ class Gallery:
         picked = pictures.ChosenRows.of(kind, name, chosen, "tactile gallery")
         return cls.of_rows(picked, title, columns, item, _SOLIDS_PER_TASK, known)
 
+    def write(
+        self,
+        out: str,
+        runner: run.Runner | int = 1,
+        *,
+        overwrite: bool = False,
+        dry_run: bool = False,
+        on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    ) -> Site:
+        """Write the site; the page appears last. Equal galleries give equal bytes.
+
+        ``overwrite`` replaces an existing gallery and nothing else. An existing folder is kept, not replaced.
+        ``dry_run`` checks the same and writes nothing.
+
+        Raises InputError if the folder holds something else, another run writes a gallery there, there is
+        nothing to show, or the site would be too large; StorageError if it cannot be written.
+        """
+        path = _site_folder(self, out, overwrite=overwrite)
+        is_replaced = (path / PAGE_FILE).exists()
+        if dry_run:
+            return Site(str(path), self.size, 0, 0, dict(self.splits), is_replaced)
+        with named_failures(str(path)), _unfinished_folder(path) as folder:
+            files = _Files(folder)
+            files.write(_TEMPLATE_FILE, page(self.title))
+            files.write("LICENSES.txt", asset("three-LICENSE.txt"))
+            for name in (*ASSETS, THREE):
+                files.write(f"assets/{name}", asset(name))
+            items = _write_items(self, files, runner, on_progress)
+            files.write("items.js", f"gallery.start({script_json(index_of(self, items))});\n")
+            # Checked again, because hours may have passed.
+            former = _former_folders(path, overwrite=overwrite)
+            named = path / _name_of(folder)
+            if named not in former:
+                folder.rename(named)
+            draft = draft_of(path / PAGE_FILE)
+            files.bytes += draft.write_bytes(_page_of(named))
+            draft.replace(path / PAGE_FILE)
+            for former_folder in set(former) - {named}:
+                retired = former_folder.rename(draft_of(former_folder))
+                if _name_of(retired) != former_folder.name:  # a file was added meanwhile
+                    retired.rename(former_folder)
+        return Site(str(path), len(items), files.count + 1, files.bytes, dict(self.splits), is_replaced)
+
 
 def _solid_item(
     shown: Sequence[str],
@@ -315,50 +358,6 @@ class Site:
         return str(Path(self.path) / PAGE_FILE)
 
 
-def build_site(
-    gallery: Gallery,
-    out: str,
-    runner: run.Runner | int = 1,
-    *,
-    overwrite: bool = False,
-    dry_run: bool = False,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> Site:
-    """Write the site of a gallery; the page appears last. Equal galleries give equal bytes.
-
-    ``overwrite`` replaces an existing gallery and nothing else. An existing folder is kept, not replaced.
-    ``dry_run`` checks the same and writes nothing.
-
-    Raises InputError if the folder holds something else, another run writes a gallery there, there is
-    nothing to show, or the site would be too large; StorageError if it cannot be written.
-    """
-    path = _site_folder(gallery, out, overwrite=overwrite)
-    is_replaced = (path / PAGE_FILE).exists()
-    if dry_run:
-        return Site(str(path), gallery.size, 0, 0, dict(gallery.splits), is_replaced)
-    with named_failures(str(path)), _unfinished_folder(path) as folder:
-        files = _Files(folder)
-        files.write(_TEMPLATE_FILE, page(gallery.title))
-        files.write("LICENSES.txt", asset("three-LICENSE.txt"))
-        for name in (*ASSETS, THREE):
-            files.write(f"assets/{name}", asset(name))
-        items = _write_items(gallery, files, runner, on_progress)
-        files.write("items.js", f"gallery.start({script_json(index_of(gallery, items))});\n")
-        # Checked again, because hours may have passed.
-        former = _former_folders(path, overwrite=overwrite)
-        named = path / _name_of(folder)
-        if named not in former:
-            folder.rename(named)
-        draft = draft_of(path / PAGE_FILE)
-        files.bytes += draft.write_bytes(_page_of(named))
-        draft.replace(path / PAGE_FILE)
-        for former_folder in set(former) - {named}:
-            retired = former_folder.rename(draft_of(former_folder))
-            if _name_of(retired) != former_folder.name:  # a file was added meanwhile
-                retired.rename(former_folder)
-    return Site(str(path), len(items), files.count + 1, files.bytes, dict(gallery.splits), is_replaced)
-
-
 class _Files:
     """Writes the files of a folder and counts them."""
 
@@ -456,7 +455,7 @@ def _page_of(files: Path) -> bytes:
 
 
 def _site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
-    """Return the folder of the site of a gallery; raises InputError as :func:`build_site` does."""
+    """Return the folder of the site of a gallery; raises InputError as :meth:`Gallery.write` does."""
     # The target of a symbolic link: the link itself is not replaced.
     path = Path(os.path.realpath(local_folder_path(out)))
     if path.is_dir():

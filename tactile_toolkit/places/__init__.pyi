@@ -13,6 +13,3 @@ from .place import (
     published_set as published_set,
     published_states as published_states,
 )
-from .split_files import (
-    unknown_split as unknown_split,
-)

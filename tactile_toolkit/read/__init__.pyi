@@ -24,7 +24,6 @@ from .schemas import (
     column_types as column_types,
     dtype_name as dtype_name,
     Expected as Expected,
-    is_merged as is_merged,
     list_depth as list_depth,
     supported_table as supported_table,
     with_absent as with_absent,

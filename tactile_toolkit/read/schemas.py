@@ -51,14 +51,13 @@ def list_depth(data_type: pa.DataType) -> tuple[int, pa.DataType]:
     return depth, data_type
 
 
-def absent_columns(schema: pa.Schema) -> tuple[str, ...]:
-    """Return the columns of a merged file that hold only nulls, as the data set of its rows had none."""
-    return tuple(json.loads((schema.metadata or {}).get(_ABSENT, b"[]")))
+def absent_columns(schema: pa.Schema) -> tuple[str, ...] | None:
+    """Return the columns of a file that hold only nulls, as the data set of its rows had none.
 
-
-def is_merged(schema: pa.Schema) -> bool:
-    """Return whether a file was merged with files of other columns, of which it states the absent ones."""
-    return _ABSENT in (schema.metadata or {})
+    Only a file that was merged with files of other columns states them; None for others.
+    """
+    stated = (schema.metadata or {}).get(_ABSENT)
+    return None if stated is None else tuple(json.loads(stated))
 
 
 def with_absent(schema: pa.Schema, columns: Iterable[str]) -> pa.Schema:
@@ -74,7 +73,7 @@ def column_types(fields: Iterable[pa.Field], prefix: str = "") -> dict[str, pa.D
     :func:`absent_columns`.
     """
     if isinstance(fields, pa.Schema):
-        absent = absent_columns(fields)
+        absent = absent_columns(fields) or ()
         fields = (column for column in fields if column.name not in absent)
     types = {}
     for column in fields:

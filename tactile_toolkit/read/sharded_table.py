@@ -67,7 +67,7 @@ class ShardedTable:
         first = {shard.set_name: shard for shard in reversed(self.shards)}
         chosen = list(reversed(first.values()))
         # Merged shards lack different columns.
-        if any(schemas.is_merged(shard.schema) for shard in chosen):
+        if any(schemas.absent_columns(shard.schema) is not None for shard in chosen):
             chosen = list(self.shards)
         return [shard.schema for shard in chosen]
 

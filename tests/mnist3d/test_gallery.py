@@ -13,7 +13,6 @@ from mnist3d.digit_records import REPORT_FILE
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.gallery import build_site
 from tactile_toolkit.store import open_folder, read_report
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, index_of
@@ -36,7 +35,7 @@ def measure(index: dict, title: str) -> list[float | None]:
 
 
 def test_the_page_shows_every_digit_with_its_report(folder, tmp_path):
-    site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
+    site = plan_gallery(str(folder)).write(str(tmp_path / "site"))
     assert (site.items, site.splits) == (30, {"train": 20, "test": 10})
     index = index_of(tmp_path / "site")
     assert index["title"] == "3D digits · digits"
@@ -59,8 +58,8 @@ def test_the_page_shows_every_digit_with_its_report(folder, tmp_path):
 def test_a_set_without_a_report_is_inspected(folder, tmp_path):
     bare = tmp_path / "bare"
     shutil.copytree(folder / "data", bare / "data")
-    build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "a"))
-    build_site(plan_gallery(str(bare), RowFilter("test")), str(tmp_path / "b"))
+    plan_gallery(str(folder), RowFilter("test")).write(str(tmp_path / "a"))
+    plan_gallery(str(bare), RowFilter("test")).write(str(tmp_path / "b"))
     of_report, inspected = index_of(tmp_path / "a"), index_of(tmp_path / "b")
     assert inspected["facets"] == of_report["facets"]
     for told, seen in zip(of_report["measures"], inspected["measures"], strict=True):
@@ -75,14 +74,14 @@ def test_digits_that_cannot_be_shown_are_named(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
     with pytest.raises(IntegrityError):
-        build_site(plan_gallery(str(copy), RowFilter("test")), str(tmp_path / "site"))
+        plan_gallery(str(copy), RowFilter("test")).write(str(tmp_path / "site"))
     assert not (tmp_path / "site").exists()
 
 
 @pytest.mark.browser
 def test_a_digit_in_the_browser_is_that_digit(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
+        plan_gallery(str(folder), RowFilter("test")).write(str(tmp_path / "site"))
         records = mnist3d.load(str(folder), "test")
         place = int(np.flatnonzero(records.labels == 1)[0])
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

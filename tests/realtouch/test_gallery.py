@@ -12,7 +12,6 @@ from PIL import Image
 import realtouch
 from realtouch.touch_gallery import plan_gallery
 from tactile_toolkit.catalog import RowFilter
-from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
 from tests.realtouch import factories
@@ -34,7 +33,7 @@ def tile(site: Path, name: str, size: list[int], columns: int, place: int) -> np
 @pytest.mark.parametrize("kind", ["seq", "single"])
 def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, request):
     folder = request.getfixturevalue(f"{kind}_folder")
-    site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
+    site = plan_gallery(str(folder)).write(str(tmp_path / "site"))
     assert site.splits == {"test": 1, "train": 3}
     index = index_of(tmp_path / "site")
     split = column(index, "Split")
@@ -52,7 +51,7 @@ def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, req
 
 
 def test_stills_are_the_touches(single_folder, tmp_path):
-    build_site(plan_gallery(str(single_folder), RowFilter("train")), str(tmp_path / "site"))
+    plan_gallery(str(single_folder), RowFilter("train")).write(str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(single_folder), "train")):
         shown = touches_of(tmp_path / "site", number)
         assert shown["tile"] == [96, 72]
@@ -63,7 +62,7 @@ def test_stills_are_the_touches(single_folder, tmp_path):
 
 
 def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
-    build_site(plan_gallery(str(seq_folder), RowFilter("train")), str(tmp_path / "site"))
+    plan_gallery(str(seq_folder), RowFilter("train")).write(str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(seq_folder), "train")):
         for touch, entry in enumerate(touches_of(tmp_path / "site", number)["list"]):
             clip, film = record.sensor_video[touch], entry["film"]
@@ -82,7 +81,7 @@ def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
 
 def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
     plan = plan_gallery(str(seq_folder), RowFilter(limit=2), touches=3)
-    site = build_site(plan, str(tmp_path / "a"))
+    site = plan.write(str(tmp_path / "a"))
     for task in plan.tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()
     assert site.items == 3
@@ -92,7 +91,7 @@ def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
 def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
     factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", layout)
-    build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
+    plan_gallery(str(tmp_path / "bare")).write(str(tmp_path / "site"))
     assert column(index_of(tmp_path / "site"), "Touches with contact") == [["unknown"]] * 3
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
@@ -100,7 +99,7 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
 def test_notes_describe_further_columns(tmp_path):
     """Ranges of numbers and distinct texts, also if each frame has a value and clips differ in length."""
     factories.bare_set(tmp_path / "set", "seq", extras=of_frames)
-    build_site(plan_gallery(str(tmp_path / "set"), RowFilter("train")), str(tmp_path / "site"))
+    plan_gallery(str(tmp_path / "set"), RowFilter("train")).write(str(tmp_path / "site"))
     last = max(10 * touch + length - 1 for touch, length in enumerate(LENGTHS["train"][0]))
     notes = dict(content_of(tmp_path / "site", 0)["notes"])
     assert {name: notes[name] for name in ("force_n", "time.ms", "vector")} == {
@@ -114,7 +113,7 @@ def test_notes_describe_further_columns(tmp_path):
 @pytest.mark.browser
 def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(seq_folder), RowFilter("train")), str(tmp_path / "site"))
+        plan_gallery(str(seq_folder), RowFilter("train")).write(str(tmp_path / "site"))
         with opened(chromium, tmp_path / "site", width=900, height=700, link="#item-1") as found:
             page = found.page
             touches = page.locator(".touch")
@@ -154,7 +153,7 @@ def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
 
 def test_ids_are_those_of_objects_as_for_select(single_folder, truth, tmp_path):
     chosen = truth[1].object_id
-    build_site(plan_gallery(str(single_folder), RowFilter("train", ids=(chosen,))), str(tmp_path / "site"))
+    plan_gallery(str(single_folder), RowFilter("train", ids=(chosen,))).write(str(tmp_path / "site"))
     index = index_of(tmp_path / "site")
     assert index["ids"] == [round_.id for round_ in truth if round_.object_id == chosen]
     realtouch.select(single_folder, tmp_path / "some", ids=[chosen])

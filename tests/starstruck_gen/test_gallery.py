@@ -10,7 +10,6 @@ from PIL import Image
 import starstruck_gen
 from starstruck_gen.scene_card import plan_gallery
 from tactile_toolkit.catalog import RowFilter
-from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
 
@@ -24,7 +23,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def test_scenes_are_filtered_by_their_objects(folder, tmp_path):
-    site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
+    site = plan_gallery(str(folder)).write(str(tmp_path / "site"))
     assert (site.items, site.splits) == (18, {"train": 12, "test": 6})
     index = index_of(tmp_path / "site")
     expected = [record for split in ("train", "test") for record in starstruck_gen.load(str(folder), split)]
@@ -40,7 +39,7 @@ def test_scenes_are_filtered_by_their_objects(folder, tmp_path):
 
 
 def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
-    build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
+    plan_gallery(str(folder), RowFilter("test")).write(str(tmp_path / "site"))
     for number, record in enumerate(starstruck_gen.load(str(folder), "test")):
         content = (files_of(tmp_path / "site") / "thumbs" / f"{number:06d}.png").read_bytes()
         pixels = np.asarray(Image.open(io.BytesIO(content))).astype(int)
@@ -65,7 +64,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     pq.write_table(
         table.select(["id", "label", "mesh.vertices", "mesh.faces"]), tmp_path / "bare" / "test.parquet"
     )
-    site = build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
+    site = plan_gallery(str(tmp_path / "bare")).write(str(tmp_path / "site"))
     assert site.splits == {"test": 6}
     index = index_of(tmp_path / "site")
     assert column(index, "Distractors") == [["unknown"]] * 6
@@ -79,7 +78,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
 @pytest.mark.browser
 def test_stars_and_others_have_their_own_paint(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
+        plan_gallery(str(folder), RowFilter("test")).write(str(tmp_path / "site"))
         scenes = list(starstruck_gen.load(str(folder), "test"))
         place = max(range(6), key=lambda number: scenes[number].distractor_count)
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

@@ -11,7 +11,6 @@ import pytest
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
-from tactile_toolkit.gallery import build_site
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.gallery_files import index_of
@@ -68,7 +67,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
     (sheet,) = boxes.KIND.plan_previews(str(whole), PreviewSpec()).pictures
     assert sheet.draw().std() > 10
     assert "![The first boxes from above](previews/boxes.png)" in card
-    build_site(boxes.KIND.plan_gallery(str(whole)), str(tmp_path / "site"))
+    boxes.KIND.plan_gallery(str(whole)).write(str(tmp_path / "site"))
     (width, *_) = index_of(tmp_path / "site")["measures"]
     assert width["values"] == [round(record.row.value("width_m"), 3) for record in records]
     # upload

@@ -42,7 +42,8 @@ def test_types_of_text(values: list[Any], data_type: pa.DataType) -> None:
 def test_commas_are_decimal_marks_where_the_separator_shows_it() -> None:
     """Otherwise ``1,234`` may mean a thousand, as it does beside a number with a point."""
     for values, expected in ((["1,5", "1,234"], [1.5, 1.234]), (["1,5", "1.5"], ["1,5", "1.5"])):
-        column = column_types.from_text(pa.array(values), decimal_commas=True)
+        types = column_types.ColumnTypes(is_text=True, decimal_commas=True)
+        column = types.whole(pa.table({"x": values}), (), ())["x"]
         assert column.to_pylist() == expected
     with pytest.raises(ValueError, match="1,234"):
         column_types.floats_of(pa.array(["1,234", "x"]))

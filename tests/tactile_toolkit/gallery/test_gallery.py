@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
-from tactile_toolkit.gallery import Gallery, build_site, site as site_module
+from tactile_toolkit.gallery import Gallery, site as site_module
 from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, PAGE_FILE, THREE, asset
 from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
@@ -23,7 +23,7 @@ def entries(folder: Path) -> list[str]:
 
 
 def build(out: Path, gallery: Gallery | None = None, **options: object) -> site_module.Site:
-    return build_site(gallery or toy_gallery(), str(out), InlineRunner(), **options)  # type: ignore[arg-type]
+    return (gallery or toy_gallery()).write(str(out), InlineRunner(), **options)  # type: ignore[arg-type]
 
 
 def test_a_site_has_the_stated_content(tmp_path):
@@ -84,7 +84,7 @@ def test_no_other_foreign_code_lies_in_the_package():
 @pytest.mark.thorough
 def test_bytes_do_not_depend_on_workers(tmp_path):
     build(tmp_path / "a")
-    build_site(toy_gallery(), str(tmp_path / "b"), ProcessRunner(2))
+    toy_gallery().write(str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
 
 
@@ -197,7 +197,6 @@ def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, err
 
 KILLED = """
 import sys
-from tactile_toolkit.gallery.site import build_site
 from tactile_toolkit.run.runners import InlineRunner
 from tests.gallery_toy import ToyTask, toy_gallery
 from dataclasses import replace
@@ -205,7 +204,7 @@ from pathlib import Path
 gallery = toy_gallery(24)
 alive = str(Path(sys.argv[1]).parent.parent / "alive")
 tasks = (gallery.tasks[0], gallery.tasks[1], ToyTask(16, 24, pause_s=600, alive=alive))
-build_site(replace(gallery, tasks=tasks), sys.argv[1], InlineRunner())
+replace(gallery, tasks=tasks).write(sys.argv[1], InlineRunner())
 """
 
 
@@ -228,12 +227,11 @@ def test_a_killed_run_leaves_no_site_and_the_next_one_clears_up(tmp_path, how):
 FULL = """
 import resource, sys
 from tactile_toolkit.errors import StorageError
-from tactile_toolkit.gallery.site import build_site
 from tactile_toolkit.run.runners import InlineRunner
 from tests.gallery_toy import toy_gallery
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 try:
-    build_site(toy_gallery(), sys.argv[1], InlineRunner())
+    toy_gallery().write(sys.argv[1], InlineRunner())
 except StorageError as error:
     print(error)
 """
@@ -249,7 +247,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(StorageError, match="Not a directory"):
         build(tmp_path / "file" / "site")
     with pytest.raises(InputError, match="is not a local folder; nothing was changed"):
-        build_site(toy_gallery(), "memory://site", InlineRunner())
+        toy_gallery().write("memory://site", InlineRunner())
 
 
 def test_empty_and_too_large_galleries_are_refused(tmp_path, monkeypatch):

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_toolkit.gallery import build_site
 from tactile_toolkit.run.runners import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
 from tests.gallery_files import files_of
@@ -30,7 +29,7 @@ def chromium() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("page") / "site with space & é"
-    build_site(toy_gallery(COUNT, portion=100), str(out), InlineRunner())
+    toy_gallery(COUNT, portion=100).write(str(out), InlineRunner())
     return out
 
 
@@ -281,7 +280,7 @@ def test_phone_width_needs_no_sideways_scrolling(chromium, site):
 
 
 def test_hostile_words_are_words(chromium, tmp_path):
-    build_site(toy_gallery(4, hostile=True), str(tmp_path / "site"), InlineRunner())
+    toy_gallery(4, hostile=True).write(str(tmp_path / "site"), InlineRunner())
     with opened(chromium, tmp_path / "site") as found:
         title = found.page.title()
         assert title.startswith("Toys <script>")
