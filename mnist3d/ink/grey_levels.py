@@ -283,8 +283,8 @@ def ink_of_colours(difference: UInt8) -> UInt8:
     return levels
 
 
-def coloured_ink(reflectances: Float32) -> Bool:
-    """Return the mask of coloured ink in a photograph: one channel is darker than another, unlike in shadows.
+def colourfulness(reflectances: Float32) -> Float32:
+    """Return how much channels of a photograph differ: much in coloured ink, little in shadows and black ink.
 
     Parameters
     ----------
@@ -292,9 +292,8 @@ def coloured_ink(reflectances: Float32) -> Bool:
         Channels divided by the paper around each pixel; paper is 1 in each.
     """
     # A blur of a pixel removes the noise of cameras, which is coloured.
-    smooth = np.stack([ndimage.gaussian_filter(channel, 1.0) for channel in reflectances])
-    is_coloured = smooth.max(axis=0) - smooth.min(axis=0) > CHROMATIC
-    return np.asarray(ndimage.binary_opening(is_coloured, _SQUARE))
+    smooth = [ndimage.gaussian_filter(channel, 1.0) for channel in reflectances]
+    return np.asarray(np.max(smooth, axis=0) - np.min(smooth, axis=0), np.float32)
 
 
 def fit(pixels: UInt8, side: int = SIDE_PX) -> UInt8:

@@ -58,6 +58,9 @@ _TURNS_RAD = np.deg2rad(np.arange(-20, 20.1, 0.25))
 # A line covers half of each sixth of its length on the page, which is at least this share of the picture.
 _COVERED, _PARTS, _SHORTEST = 0.5, 6, 0.15
 
+# Edges of ink along an edge of a picture where three lines run into it.
+_RULED_EDGES = 5
+
 # Least Hough votes for a line, as a share of the width of the page.
 _VOTES = 0.2
 _REACH_PX = 2
@@ -228,9 +231,14 @@ def find_ink(reflectance: Float32, inside: Bool) -> Ink:
         ink = 1.0
         if dark.size:
             ink = float(np.median(dark))
-    if 1 - ink < max(_CONTRAST, _DEVIATIONS * _deviation(values[::7])):
+    if 1 - ink < least_contrast(values):
         refuse("no-ink", sentence="empty-page")
     return Ink((reflectance < (1 + ink) / 2) & inside, ink, reflectance)
+
+
+def least_contrast(values: Float32) -> float:
+    """Return the least difference of ink from paper, for reflectances of which most are those of paper."""
+    return max(_CONTRAST, _DEVIATIONS * _deviation(values[::7]))
 
 
 def without_shadows(page_ink: Ink) -> Bool:
@@ -241,6 +249,13 @@ def without_shadows(page_ink: Ink) -> Bool:
     if not wide.any():
         return page_ink.mask
     return page_ink.mask & ~(middle & ndimage.maximum_filter(wide, 4 * steps + 1))
+
+
+def is_ruled(mask: Bool) -> bool:
+    """Return whether at least three lines of ink run into each of two opposite edges of a picture."""
+    edges = (mask[0], mask[-1], mask[:, 0], mask[:, -1])
+    top, bottom, left, right = (np.count_nonzero(np.diff(edge, prepend=False)) for edge in edges)
+    return bool(max(min(top, bottom), min(left, right)) >= _RULED_EDGES)
 
 
 class _Lines(NamedTuple):

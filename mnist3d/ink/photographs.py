@@ -29,6 +29,7 @@ from mnist3d.ink.pages import (
 )
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
+from tactile_toolkit.wording import with_count
 
 CLEAN_LEVELS = 2
 """Largest difference, in grey levels, between the paper of a clean image and its margin."""
@@ -73,6 +74,9 @@ _TOUCHING, _THICK, _ALONG = 0.05, 1.5, 0.5
 """Largest share of the rim of a page that a drawing touches, its thickness there in strokes, and the share of
 its own length along the rim."""
 
+_BESIDE_PX, _EDGE = 3, 0.5
+"""Ink is compared with the clearest ink so near, and ends where its contrast is this share of it."""
+
 NEAR_PX = 2
 """Width of the grey edges of ink, pixels."""
 
@@ -94,7 +98,9 @@ def is_clean(levels: UInt8) -> bool:
     return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
 
 
-def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8:
+def even_out(
+    picture: UInt8, ink: str = "auto", *, whole: bool = False, notes: list[str] | None = None
+) -> UInt8:
     """Return the ink of the one digit in a photograph or scan as grey levels from 0 (ink) to 255 (paper).
 
     With ``whole``, all ink of the page is kept, also several pieces, blobs, and coloured parts. Everything
@@ -107,6 +113,8 @@ def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8
         Grey levels or RGB; of coloured pictures, the channel that shows the ink best is used.
     ink : {"auto", "dark", "light"}
         ``"auto"`` takes ink for light only if it is lighter than a dark page.
+    notes : list of str, optional
+        With ``whole``, sentences on what was left out are added.
 
     Returns
     -------
@@ -124,7 +132,7 @@ def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8
     reduced = Image.fromarray(picture)
     if scale < 1:
         reduced = reduced.resize(size, Image.Resampling.BOX)
-    levels = _even_out(_views(reduced), ink, whole)
+    levels = _even_out(_views(reduced), ink, whole, [] if notes is None else notes)
     if scale < 1:
         levels = np.asarray(Image.fromarray(levels).resize((width, height), Image.Resampling.BILINEAR))
     return levels
@@ -138,12 +146,12 @@ def _views(picture: Image.Image) -> UInt8:
     return np.stack([grey, *np.moveaxis(np.asarray(picture), -1, 0)])
 
 
-def _even_out(views: UInt8, ink: str, whole: bool) -> UInt8:
+def _even_out(views: UInt8, ink: str, whole: bool, notes: list[str]) -> UInt8:
     page = pages.find_page(views.min(axis=0))
     if ink == "light" or (ink == "auto" and ink_is_light(to_coarse(views[0]), page)):
         views = 255 - views
     if whole:
-        return _drawing_on(views, page)
+        return _drawing_on(views, page, notes)
     try:
         return _ink_on(views, page)
     except ItemError as error:
@@ -192,15 +200,46 @@ def _ink_on(views: UInt8, page: Bool, widest: float = WIDEST_STROKE) -> UInt8:
     return _levels_of(digit, page_ink)
 
 
-def _drawing_on(views: UInt8, page: Bool) -> UInt8:
-    """Return the levels of all ink on a page."""
+def _drawing_on(views: UInt8, page: Bool, notes: list[str]) -> UInt8:
+    """Return the levels of all ink on a page, and note what was left out."""
     inside = fine_mask(eroded(page, 2), views[0].shape)
+    drawn = _any_ink(views, page, inside)
+    inked = pages.without_lines(drawn.mask, inside)
+    drawing = find_drawing(inked, inside, drawn)
+    if not page.all():
+        notes.append(f"left out what surrounds the page, {1 - page.mean():.0%} of the picture")
+    if (drawn.mask & ~inked).any():
+        notes.append("left out lines that run across the page, as on ruled paper")
+    dark = inside & (drawn.reflectance < _EDGE)
+    labels, _ = ndimage.label(ndimage.binary_opening(dark & ~drawing & (inked | ~drawn.mask)))
+    sides = [max(part.stop - part.start for part in box) for box in ndimage.find_objects(labels)]
+    count = sum(side > _SPECK * max(dark.shape) for side in sides)
+    if count:
+        notes.append(f"left out {with_count(count, 'grey or blurred parts')}, such as shadows")
+    return _levels_of(drawing, drawn)
+
+
+def _any_ink(views: UInt8, page: Bool, inside: Bool) -> Ink:
+    """Return the ink of all colours, relative to the darkest or most coloured ink beside each pixel.
+
+    So light strokes have the same edges as dark ones. The reflectance of the result is 0 for ink.
+    """
     page_ink = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
-    inked = pages.without_lines(without_shadows(page_ink), inside)
+    relative = _relative(1 - page_ink.reflectance, pages.least_contrast(page_ink.reflectance[inside]))
+    coloured = np.zeros_like(inside)
     if len(views) > 1:
         channels = np.stack([reflectance(view[None], page, _WIDEST_PART) for view in views[1:]])
-        inked |= grey_levels.coloured_ink(channels) & inside
-    return _levels_of(find_drawing(inked, inside, page_ink), page_ink)
+        colour = _relative(grey_levels.colourfulness(channels), grey_levels.CHROMATIC)
+        coloured = inside & (colour > _EDGE)
+        relative = np.maximum(relative, colour)
+    grey = without_shadows(page_ink._replace(mask=inside & ~coloured & (relative > _EDGE)))
+    return Ink(grey | coloured, 0.0, 1 - relative)
+
+
+def _relative(contrast: Float32, least: float) -> Float32:
+    """Divide the contrast of ink by the greatest beside it, so that edges are where it is half of that."""
+    beside = ndimage.maximum_filter(contrast, 2 * _BESIDE_PX + 1)
+    return np.asarray(contrast / np.maximum(beside, least / _EDGE), np.float32)
 
 
 def _levels_of(inked: Bool, page_ink: Ink) -> UInt8:

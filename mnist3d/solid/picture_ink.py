@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from mnist3d import compiled_loops
 from mnist3d.digit_options import LARGEST_HALF_THICKNESS_PX, SolidSize, SolidSpec
-from mnist3d.ink import binarisation, grey_levels, photographs
+from mnist3d.ink import binarisation, grey_levels, pages, photographs
 from mnist3d.ink.grey_levels import MAX_DRAWN
 from mnist3d.solid import lattice
 from mnist3d.sources import picture_files
@@ -82,7 +82,8 @@ def sized_ink(
         if value not in known:
             raise InputError(f"is {value!r}; expected one of {', '.join(known)}", field=name)
     asked = replace(spec or SolidSpec(), **changes)
-    levels, level, notes = _levels(picture, asked, which, threshold, page)
+    notes = list[str]()
+    levels, level = _levels(picture, asked, which, threshold, page, notes)
     sheet, pitch_mm = _on_sheet(levels, level, asked, size)
     if sheet is not levels:
         level = None  # the threshold of the picture does not fit resampled levels
@@ -101,52 +102,53 @@ def sized_ink(
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
     drawn = binarisation.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
     count = int(_labels(drawn).max()) - len(np.unique(_labels(before)[mask & before]))
+    if pages.is_ruled(drawn):
+        notes.append("lines run across the picture, as on ruled paper; --threshold local leaves them out")
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
     return SizedInk(mask, fitted, tuple(notes), True, size)
 
 
 def _levels(
-    picture: PictureLike, spec: SolidSpec, which: str, threshold: str, page: int
-) -> tuple[UInt8, float | None, list[str]]:
-    """Return levels with dark ink, their threshold if it is known, and notes."""
+    picture: PictureLike, spec: SolidSpec, which: str, threshold: str, page: int, notes: list[str]
+) -> tuple[UInt8, float | None]:
+    """Return levels with dark ink, and their threshold if it is known; add notes on what was left out."""
     if isinstance(picture, (str, os.PathLike)):
-        return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page)
-    if isinstance(picture, Image.Image):
+        return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page, notes), None
+    image = picture if isinstance(picture, Image.Image) else _image_of(np.asarray(picture))
+    if image is not None:
+        upright = picture_files.upright_levels(image)
         levels = picture_files.picture_levels(
-            picture_files.upright_levels(picture), which, threshold, "the picture", whole=True
+            upright, which, threshold, "the picture", whole=True, notes=notes
         )
-        return levels, None, []
+        return levels, None
     array = np.asarray(picture)
-    if array.ndim == 3:
-        image = _image_of(array)
-        return picture_files.picture_levels(image, which, threshold, "the picture", whole=True), None, []
     if threshold == "local":
-        return photographs.even_out(grey_levels.as_levels(array), which, whole=True), None, []
+        return photographs.even_out(grey_levels.as_levels(array), which, whole=True, notes=notes), None
     if threshold == "global" and which == "auto":
-        return *grey_levels.dark_on_light(array, which), []
-    levels, otsu = binarisation.ink_levels(array, spec.threshold, which, whole=True)
-    return levels, otsu, []
+        return grey_levels.dark_on_light(array, which)
+    return binarisation.ink_levels(array, spec.threshold, which, whole=True)
 
 
-def _levels_of_file(path: Path, which: str, threshold: str, page: int) -> tuple[UInt8, None, list[str]]:
-    pages = picture_files.pages_of(path)
-    if page not in pages:
+def _levels_of_file(path: Path, which: str, threshold: str, page: int, notes: list[str]) -> UInt8:
+    numbers = picture_files.pages_of(path)
+    if page not in numbers:
         raise InputError(
-            f"{path} has no page {page}; it has {with_count(len(pages), 'pages')}, counted from 0",
+            f"{path} has no page {page}; it has {with_count(len(numbers), 'pages')}, counted from 0",
             next="give the number of one of them",
         )
-    levels = picture_files.read_picture(path, which, threshold, page, whole=True)
-    stored = picture_files.size_of_page(path, page)
-    notes = []
-    if max(stored) > max(levels.shape):
-        height, width = levels.shape
-        notes = [f"the picture of {stored[0]:,} x {stored[1]:,} pixels was reduced to {width:,} x {height:,}"]
-    return levels, None, notes
+    levels = picture_files.read_picture(path, which, threshold, page, whole=True, notes=notes)
+    width, height = picture_files.size_of_page(path, page)
+    if max(width, height) > max(levels.shape):
+        now = f"{levels.shape[1]:,} x {levels.shape[0]:,}"
+        notes.append(f"the picture of {width:,} x {height:,} pixels was reduced to {now}")
+    return levels
 
 
-def _image_of(array: AnyArray) -> Image.Image:
-    """Return an array of colours as an image: RGB or RGBA, uint8, or floats from 0 to 1."""
+def _image_of(array: AnyArray) -> Image.Image | None:
+    """Return an array of colours, RGB or RGBA, as an image; None for an array of grey levels."""
+    if array.ndim != 3:
+        return None
     if array.shape[2] not in (3, 4) or array.dtype.kind not in "buif":
         raise ItemError(
             "bad-shape",

@@ -83,7 +83,13 @@ def is_picture_name(name: str) -> bool:
 
 
 def read_picture(
-    path: Path, ink: str = "auto", threshold: str = "auto", page: int = 0, *, whole: bool = False
+    path: Path,
+    ink: str = "auto",
+    threshold: str = "auto",
+    page: int = 0,
+    *,
+    whole: bool = False,
+    notes: list[str] | None = None,
 ) -> UInt8:
     """Read a picture in its own size, with ink 0 and paper 255; see :func:`picture_levels`.
 
@@ -91,7 +97,7 @@ def read_picture(
     ----------
     path : Path
         File of any type that :data:`ENDINGS` lists.
-    ink, threshold, whole
+    ink, threshold, whole, notes
         As for :func:`picture_levels`.
     page : int
         Number of the page, from 0.
@@ -106,7 +112,8 @@ def read_picture(
         ``"unreadable"``, and those of :func:`picture_levels`.
     """
     try:
-        return picture_levels(decode_page(path, page), ink, threshold, str(path), whole=whole)
+        picture = decode_page(path, page)
+        return picture_levels(picture, ink, threshold, str(path), whole=whole, notes=notes)
     except ItemError as error:
         if str(path) in error.message:
             raise
@@ -114,7 +121,13 @@ def read_picture(
 
 
 def picture_levels(
-    picture: Image.Image, ink: str, threshold: str, picture_name: str, *, whole: bool = False
+    picture: Image.Image,
+    ink: str,
+    threshold: str,
+    picture_name: str,
+    *,
+    whole: bool = False,
+    notes: list[str] | None = None,
 ) -> UInt8:
     """Return the ink of a picture as grey levels from 0 (ink) to 255 (paper), in its own size.
 
@@ -136,6 +149,8 @@ def picture_levels(
         Name of the picture for messages.
     whole : bool
         The picture is a drawing of any parts, not one digit: photographs keep all their ink.
+    notes : list of str, optional
+        As for ``mnist3d.ink.photographs.even_out``.
 
     Returns
     -------
@@ -157,7 +172,7 @@ def picture_levels(
     is_clean = _is_cut_out(picture) or photographs.is_clean(grey) or (whole and is_graphic(colours))
     most_ink = MAX_DRAWN if whole else MAX_INK
     if threshold == "local" or (threshold == "auto" and not is_clean):
-        return photographs.even_out(colours, ink, whole=whole)
+        return photographs.even_out(colours, ink, whole=whole, notes=notes)
     level = otsu_threshold(grey)
     if ink == "light" or (ink == "auto" and not is_flat and paper_is_dark(grey, level, picture_name)):
         grey, level = 255 - grey, 254 - level

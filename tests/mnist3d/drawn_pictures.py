@@ -50,12 +50,16 @@ def house() -> Image.Image:
     return picture
 
 
-def photographed(picture: Image.Image) -> Image.Image:
-    """Return a page as photographed by a phone: uneven warm light, noise, blur."""
+def photographed(
+    picture: Image.Image, paper: tuple[float, ...] = (0.93, 0.89, 0.82), finger: float = 0
+) -> Image.Image:
+    """Return a page as photographed by a phone: uneven warm light, the shadow of a finger, noise, blur."""
     page = np.asarray(picture.resize((1200, 900)), float)
     rows, columns = np.mgrid[:900, :1200]
     light = 0.5 + 0.5 * (0.7 * columns / 1200 + 0.3 * rows / 900)
-    shot = page * light[..., None] * np.array([0.93, 0.89, 0.82])
+    covered = (abs(columns - 600) < 40) & (rows > 400)
+    light *= 1 - finger * ndimage.gaussian_filter(covered.astype(float), 10.0)
+    shot = page * light[..., None] * np.array(paper)
     shot += np.random.default_rng(0).normal(0, 3, page.shape)
     blurred = Image.fromarray(np.clip(shot, 0, 255).astype(np.uint8))
     return blurred.filter(ImageFilter.GaussianBlur(1))

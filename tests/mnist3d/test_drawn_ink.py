@@ -18,7 +18,7 @@ from mnist3d.ink import photographs
 from mnist3d.sources.picture_files import decode_page
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import check_manifold
-from tests.mnist3d.drawn_pictures import PEN, child, inked, photographed, pieces, size_mm, word
+from tests.mnist3d.drawn_pictures import PEN, SUN, WALL, child, inked, photographed, pieces, size_mm, word
 
 
 @pytest.mark.parametrize("seen", [lambda each: each, photographed], ids=["drawing", "photograph"])
@@ -120,6 +120,38 @@ def test_objects_beside_a_photographed_page_are_not_ink(corners: list[tuple[int,
     page = word()
     ImageDraw.Draw(page).polygon(corners, fill=(40, 30, 20))
     assert pieces(inked(photographed(page)).mask) == 5
+
+
+@pytest.mark.parametrize("paper", [(1, 0.99, 0.97), (0.93, 0.85, 0.7)], ids=["white", "cream"])
+@pytest.mark.parametrize("finger", [0, 0.35])
+def test_light_colours_are_ink_beside_black_and_shadows_are_named(
+    paper: tuple[float, ...], finger: float
+) -> None:
+    page = Image.new("RGB", (1200, 900), "white")
+    draw = ImageDraw.Draw(page)
+    pencil, green, pink = (140, 140, 142), (150, 215, 120), (250, 170, 190)
+    for index, colour in enumerate([PEN, SUN, (250, 225, 60), WALL, green, pencil, pink]):
+        draw.ellipse([60 + 160 * index, 100, 160 + 160 * index, 200], outline=colour, width=10)
+    found = inked(photographed(page, paper, finger))
+    assert pieces(found.mask) == 7
+    assert pieces(~found.mask) == 8
+    assert found.notes == (("left out 1 grey or blurred part, such as shadows",) if finger else ())
+
+
+@pytest.mark.parametrize("seen", [lambda each: each, photographed], ids=["drawing", "photograph"])
+def test_ruled_lines_are_named_and_no_ink_of_photographs(seen: Callable[[Image.Image], Image.Image]) -> None:
+    page = word()
+    draw = ImageDraw.Draw(page)
+    for y in range(30, 400, 40):
+        draw.line([(0, y), (800, y)], fill=(90, 120, 200), width=2)
+    found = inked(seen(page))
+    if seen is photographed:
+        assert pieces(found.mask) == 5
+        assert found.notes == ("left out lines that run across the page, as on ruled paper",)
+    else:
+        note = "lines run across the picture, as on ruled paper; --threshold local leaves them out"
+        assert found.notes == (note,)
+        assert pieces(inked(page, threshold="local").mask) == 5
 
 
 def test_specks_that_are_left_out_are_counted() -> None:
