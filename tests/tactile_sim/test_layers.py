@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, strategies as st
 
 import tactile_sim
 from tactile_toolkit.errors import InputError
-from tests.tactile_sim import reference
 from tests.tactile_sim.solids import ball, block, tilted
 
 LAYER_M = 0.0004
@@ -35,8 +33,6 @@ def _is_printed(x_m: np.ndarray, z_m: np.ndarray, slope: float) -> np.ndarray:
     return inside
 
 
-@pytest.mark.thorough
-@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("slope", [0.15, 0.5, 1.5])
 def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope):
     solid = tactile_sim.Pressable.of(_ramp(slope), layer_m=LAYER_M)
@@ -51,28 +47,6 @@ def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope):
         expected.append(steps[np.argmax(printed)])
     off = np.abs(heights - np.array(expected))
     assert np.sort(off)[-3] < 1e-6  # at the end of a layer, rounding decides
-
-
-@pytest.mark.sim
-@given(
-    st.sampled_from([(64, 64), (33, 20)]),
-    st.floats(-np.pi, np.pi),
-    st.floats(-0.01, 0.01),
-    st.sampled_from([ball(subdivisions=3), block(), trimesh.creation.torus(0.01, 0.003)]),
-)
-def test_numba_and_numpy_give_the_same_layers(size, turn, x_m, solid):
-    prepared = tactile_sim.Pressable.of(solid, layer_m=LAYER_M)
-    found = [
-        press(
-            prepared,
-            tactile_sim.pose(turn_rad=turn),
-            tactile_sim.pose(x_m, 0.001, turn_rad=-turn / 3),
-            tactile_sim.center_view(*size),
-        )
-        for press in (tactile_sim.render_touch, reference.press)
-    ]
-    assert found[0].depth_m.tobytes() == found[1].depth_m.tobytes()
-    assert found[0].sensor_z_m == found[1].sensor_z_m
 
 
 def test_a_print_that_leans_is_refused():
