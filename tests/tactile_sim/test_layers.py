@@ -35,10 +35,11 @@ def _is_printed(x_m: np.ndarray, z_m: np.ndarray, slope: float) -> np.ndarray:
 
 @pytest.mark.parametrize("slope", [0.15, 0.5, 1.5])
 def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope):
-    solid = tactile_sim.Pressable.of(_ramp(slope), layer_m=LAYER_M)
+    ramp = _ramp(slope).apply_transform(tactile_sim.pose(turn_rad=0.6))  # lies along both axes of its mesh
+    solid = tactile_sim.Pressable.of(ramp, layer_m=LAYER_M)
     sensor = tactile_sim.Sensor((41, 1), (0.004, 0.0001))
     x_m = -0.002 if slope < 1 else -0.01
-    felt = tactile_sim.render_touch(solid, tactile_sim.pose(), tactile_sim.pose(x_m), sensor)
+    felt = tactile_sim.render_touch(solid, tactile_sim.pose(turn_rad=-0.6), tactile_sim.pose(x_m), sensor)
     heights = felt.sensor_z_m - felt.depth_m[0]
     expected = []
     for place in x_m + (np.arange(41) - 20) * 0.004 / 41:

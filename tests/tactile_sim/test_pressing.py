@@ -51,8 +51,8 @@ def _rays(mesh: trimesh.Trimesh, object_pose, target, sensor):
 def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):
     sensor = tactile_sim.center_view(24, 18)
     rng = np.random.default_rng(3)
-    for _ in range(3):
-        object_pose = tactile_sim.pose(*rng.uniform(-0.01, 0.01, 2), turn_rad=rng.uniform(-3, 3))
+    for _ in range(4):  # the sensor sees the solid whole, and all its sides
+        object_pose = tactile_sim.pose(*rng.uniform(-0.02, 0.02, 2), turn_rad=rng.uniform(-3, 3))
         target = tilted(lean, rng.uniform(-3, 3), *rng.uniform(-0.01, 0.01, 2))
         pressed = _press(solid, object_pose, target, sensor)
         heights = _rays(solid, object_pose, target, sensor)
