@@ -190,10 +190,10 @@ class HiddenSensor:
         into_mm = np.maximum(surface_mm - (top_mm - press_mm), 0.0)
         into_mm = np.minimum(into_mm, press_mm)  # higher points are outside of the image
         gel_mm, contact = self._gel(into_mm, press_mm)
-        clean = self._camera(self._shown(gel_mm, contact))
+        clean = self._camera(self._projected(self._shown(gel_mm, contact), gel_mm))
         sensor_at = np.array([*at, (top_mm - press_mm + self.gel_mm) / 1e3])
         pose = np.array([*object_m, turn])
-        depth = self._seen(into_mm) / 1e3
+        depth = self._seen(self._projected(into_mm, gel_mm)) / 1e3
         return depth, clean, self._noisy(clean, rng), pose, sensor_at, press_mm / 1e3
 
     # ---------------------------------------------------------------- gel
@@ -309,6 +309,10 @@ class HiddenSensor:
         return shown
 
     # ---------------------------------------------------------------- camera
+
+    def _projected(self, frame: Array, gel_mm: Array) -> Array:
+        """Return a map of the gel as a camera at a great distance sees it."""
+        return frame
 
     def _camera(self, shown: Array) -> Array:
         """Return levels (H, W, 3) of the image without noise."""
