@@ -154,4 +154,4 @@ class DigitDataset(mesh.SolidDataset[DigitRecord]):
         )
 
 
-load = places.loader(KIND, DigitDataset, mesh.RecordStream[DigitRecord])
+load = places.loader(KIND, DigitDataset, DigitRecord)

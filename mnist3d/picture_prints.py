@@ -15,7 +15,7 @@ from mnist3d import digit_options
 from mnist3d.digit_previews import CLAY
 from mnist3d.solid import algorithm, picture_ink
 from mnist3d.sources.picture_files import is_picture_name, pages_of
-from tactile_toolkit import mesh, pictures, printing, store
+from tactile_toolkit import mesh, pictures, printing, store, touch
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.value_types import Bool, UInt8
 
@@ -237,7 +237,7 @@ def _drawn(name: str, mask: Bool, part: mesh.Mesh, report: mesh.PrintReport) -> 
         name,
         (words,),
     )
-    return pictures.png_bytes(drawn)
+    return touch.encode_image(drawn, "png")
 
 
 def _fitted(mask: Bool) -> UInt8:

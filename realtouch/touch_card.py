@@ -16,7 +16,7 @@ from realtouch.kind import KIND
 from realtouch.touches import datasets, media, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
-from tactile_toolkit.pictures import Tile, fitted, png_bytes, sheet
+from tactile_toolkit.pictures import Tile, fitted, sheet
 from tactile_toolkit.value_types import Int64, JsonDict, UInt8
 
 WORDS = "touch_words.toml"
@@ -65,7 +65,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
     family = touch.sensor_family(schema.sensor_of(facts.schema, manifest))
-    contact_sources = _contact_sources(facts)
+    table = read.ShardedTable(tuple(shard for split in facts.splits for shard in split.shards))
+    contact_sources = schema.ContactSource.of_files(table.schemas)  # merged sets may have several
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
@@ -78,7 +79,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     else:
         kind = schema.media_kind(facts.schema, folder.address())
         template = kind if origin == "real" else origin
-        content = _stored_content(facts, kind, types, manifest, words)
+        content = _stored_content(facts, kind, types, contact_sources, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
         content.columns.update(_extra_words(facts))
         plates = dict.fromkeys(source.heights.plate for source in contact_sources if source.heights)
@@ -112,12 +113,6 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         },
         cited=of_origin["cited"],
     ).write(folder, manifest, KIND, facts)
-
-
-def _contact_sources(facts: cards.FolderSummary) -> list[schema.ContactSource]:
-    """Return how contact of the touches is known; merged sets may differ."""
-    table = read.ShardedTable(tuple(shard for split in facts.splits for shard in split.shards))
-    return schema.ContactSource.of_files(table.schemas)
 
 
 def _limits(origin: str, of_origin: Sequence[str], content: _Content) -> list[str]:
@@ -170,6 +165,7 @@ def _stored_content(
     facts: cards.FolderSummary,
     kind: schema.Kind,
     types: Mapping[str, pa.DataType],
+    contact_sources: Sequence[schema.ContactSource],
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
@@ -186,7 +182,7 @@ def _stored_content(
     if "object_id" in types:
         objects = of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
     contact_source = schema.ContactSource.of(types)
-    if all(source.is_stored for source in _contact_sources(facts)):  # else all pictures would be decoded
+    if all(source.is_stored for source in contact_sources):  # else all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     size, pictures = _seen(facts, kind)
     left_out = {} if manifest is None else manifest.split_table()
@@ -264,7 +260,7 @@ def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int
 
 def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     intact = [image for image in pictures if image is not None]
-    return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
+    return touch.encode_image(contact_sheet(intact, tile_width=_TILE_WIDTH), "png") if intact else None
 
 
 def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = 120) -> UInt8:

@@ -408,7 +408,7 @@ class SceneMeshDataset(mesh.SolidDataset[SceneRecord]):
         return self._integers("star_count", lambda: self.labels + 1, lambda scene: scene.star_count)
 
 
-load = places.loader(KIND, SceneMeshDataset, mesh.RecordStream[SceneRecord])
+load = places.loader(KIND, SceneMeshDataset, SceneRecord)
 
 
 class MadeScenes:

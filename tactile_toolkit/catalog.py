@@ -34,7 +34,6 @@ SPLIT = text(metavar="NAME", panel=ROWS, help="Only this split; all by default."
 LIMIT = integer(None, 1, optional=True, panel=ROWS, help="Only the first N rows of each split.")
 PER_CLASS = integer(None, 1, optional=True, panel=ROWS, help="Only the first N of each class, in each split.")
 
-D = TypeVar("D", bound="read.RecordDataset[Any]")
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
 C = TypeVar("C", bound=Any)
 T = TypeVar("T")
@@ -137,21 +136,18 @@ class PreviewSpec(RowFilter):
         check_fields(self, "the previews")
 
 
-def open_splits(
-    source: places.Place, split: str | None, load: Callable[[places.Place, str], D], item_nouns: str
-) -> dict[str, D]:
+def open_splits(source: places.Place, split: str | None, kind: DatasetKind) -> dict[str, Any]:
     """Open one split of a data set, or all of them; those without rows are left out.
 
-    ``load`` opens a split; ``item_nouns`` says in messages what the rows are, such as ``"digits"``. Raises
-    InputError if the split does not exist or is empty, IntegrityError if it is not finished.
+    Raises InputError if the split does not exist or is empty, IntegrityError if it is not finished.
     """
     source.require_complete(split)
     chosen = source.chosen_splits(split)
-    opened = {name: load(source, name) for name in chosen}
+    opened = {name: kind.load(source, name) for name in chosen}
     filled = {name: rows for name, rows in opened.items() if len(rows)}
     if not filled:
         raise InputError(
-            f"{', '.join(chosen)} of {source.name!r}: no {item_nouns}",
+            f"{', '.join(chosen)} of {source.name!r}: no {kind.nouns}",
             next="generate some, or choose another split",
         )
     return filled

@@ -55,7 +55,7 @@ def list_folder(folder: str | Path) -> list[JsonDict]:
 def count_splits(place: places.Place, kind: DatasetKind, split: str | None = None) -> list[JsonDict]:
     """Return rows, shards, bytes and rows of each class of the splits of a data set, as JSON values."""
     counted = []
-    for name, dataset in catalog.open_splits(place, split, kind.load, kind.nouns).items():
+    for name, dataset in catalog.open_splits(place, split, kind).items():
         paths = [shard.path for shard in place.shards(name)]
         size = sum(folder.size_bytes(file) for folder, file in map(store.split_uri, paths))
         # Not by `bincount`, which fails on negative labels; data that others made may have some.

@@ -57,7 +57,7 @@ class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
     things = "wrenches"
 
 
-load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
+load = places.loader(KIND, WrenchDataset, WrenchRecord)
 
 
 def check_content(

@@ -490,7 +490,7 @@ def draw_cuts(
         np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0)), "edge")  # the edge is blank
         for part in (strip, small)
     ]
-    return pictures.png_bytes(np.vstack(parts))
+    return touch.encode_image(np.vstack(parts), "png")
 
 
 def _small(picture: UInt8) -> UInt8:

@@ -16,7 +16,7 @@ from tactile_sim.sets.pairs import PairRow, decode_depth
 from tactile_sim.sets.set_options import WINDOWS
 from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.kind import Facts
-from tactile_toolkit.pictures import Tile, png_bytes, sheet
+from tactile_toolkit.pictures import Tile, sheet
 from tactile_toolkit.value_types import AnyArray, JsonObject, UInt8
 
 _RIGID_LIMIT = (
@@ -275,7 +275,8 @@ def sheet_png(rows: Sequence[tuple[str, Sequence[AnyArray] | AnyArray]]) -> byte
     Shows every n-th pixel, or each pixel n times; nothing is smoothed.
     """
     tiles = [Tile(_shown(picture), group=word) for word, pictures in rows for picture in pictures]
-    return png_bytes(sheet(tiles, max(len(pictures) for _, pictures in rows), gap_px=2, margin_px=2))
+    columns = max(len(pictures) for _, pictures in rows)
+    return touch.encode_image(sheet(tiles, columns, gap_px=2, margin_px=2), "png")
 
 
 def _shown(picture: AnyArray) -> UInt8:

@@ -12,7 +12,7 @@ from string import Template
 
 import numpy as np
 
-from tactile_toolkit import catalog, mesh, pictures, store, wording
+from tactile_toolkit import catalog, mesh, pictures, store, touch, wording
 from tactile_toolkit.cards import licences, owner, yaml_head
 from tactile_toolkit.cards.yaml_head import FolderSummary
 from tactile_toolkit.errors import IntegrityError
@@ -301,7 +301,7 @@ def _draw_solids(facts: FolderSummary, record: type[pictures.DrawnSolid]) -> byt
     solids = [solid for label in sorted(by_class) for solid in by_class[label][:per_class]][:_MAX_DRAWN]
     across = min(len(solids), _COLUMNS)
     tile_px = min(_PICTURE_PX // across, _MAX_TILE_PX)
-    return pictures.png_bytes(solid_views.solid_sheet(solids, tile_px, across))
+    return touch.encode_image(solid_views.solid_sheet(solids, tile_px, across), "png")
 
 
 def _write_changed(folder: store.DataFolder, path: str, content: bytes) -> None:

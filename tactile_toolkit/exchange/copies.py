@@ -190,7 +190,7 @@ def plan_tables(
     Raises InputError if no row is chosen, or ``out`` is in the source or holds something else.
     """
     filters = chosen.given()
-    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns)
+    datasets = catalog.open_splits(place, filters.pop("split"), kind)
     tasks = []
     shards = {}
     for split, rows, indices in catalog.choose_rows(datasets.items(), **filters):

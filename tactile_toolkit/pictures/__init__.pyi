@@ -5,7 +5,6 @@ from .sheets import (
     Drawn as Drawn,
     fitted as fitted,
     Pen as Pen,
-    png_bytes as png_bytes,
     sheet as sheet,
     Tile as Tile,
 )

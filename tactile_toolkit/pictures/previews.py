@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit import catalog, places, store
+from tactile_toolkit import catalog, places, store, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.pictures.solid_views import solid_sheet
 from tactile_toolkit.value_types import UInt8
 from tactile_toolkit.wording import with_count
@@ -95,7 +94,7 @@ class PicturePlan:
         written = []
         for done, picture in enumerate(self.pictures, start=1):
             pixels = picture.draw()
-            content = png_bytes(pixels)
+            content = touch.encode_image(pixels, "png")
             output.folder.write_bytes(picture.name, content)
             height, width = pixels.shape[:2]
             written.append(WrittenPicture(picture.name, picture.what, width, height, len(content)))
@@ -135,7 +134,7 @@ class ChosenRows:
         among = chosen.given()
         if isinstance(chosen, catalog.PreviewSpec) and chosen.ids:
             among["per_class"] = None  # it has a default, which must not hide ids that were asked for
-        datasets: dict[str, Any] = catalog.open_splits(source, among.pop("split"), kind.load, kind.nouns)
+        datasets: dict[str, Any] = catalog.open_splits(source, among.pop("split"), kind)
         picked = catalog.choose_rows(datasets.items(), **among)
         return cls(source, kind, {split: dataset[rows] for split, dataset, rows in picked})
 

@@ -20,7 +20,6 @@ from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from tactile_toolkit import touch
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import images
 from tactile_toolkit.value_types import UInt8
 
 Colour: TypeAlias = tuple[int, int, int]
@@ -268,14 +267,9 @@ class Drawn(ABC):
         return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
 
 
-def png_bytes(pixels: UInt8) -> bytes:
-    """Encode a picture as PNG, without metadata; equal pixels give equal bytes."""
-    return images.encode_png(Image.fromarray(np.ascontiguousarray(pixels)))
-
-
 def figure_html(pixels: UInt8, caption: str, *, small: bool = False) -> str:
     """Return HTML for notebooks of a picture and its caption, which is plain text."""
-    source = base64.b64encode(png_bytes(pixels)).decode("ascii")
+    source = base64.b64encode(touch.encode_image(pixels, "png")).decode("ascii")
     style = ""
     if small:
         style = f' style="{_TILE_STYLE}"'

@@ -259,7 +259,7 @@ def repository_place(
 
 
 D = TypeVar("D", bound="read.RecordDataset[Any]", covariant=True)
-S = TypeVar("S", bound="mesh.RecordStream[Any]", covariant=True)
+R = TypeVar("R", bound="read.Record")
 _DOC = """Open a data set of {nouns}.
 
     Parameters
@@ -279,7 +279,7 @@ _DOC = """Open a data set of {nouns}.
 
     Returns
     -------
-    {dataset} or {stream}
+    {dataset} or RecordStream
         Rows are read on demand.
 
     Raises
@@ -294,7 +294,7 @@ _DOC = """Open a data set of {nouns}.
     """
 
 
-class MeshLoader(Protocol[D, S]):
+class MeshLoader(Protocol[D, R]):
     """The type of a function ``load``: it returns a data set, or with ``streaming`` a stream."""
 
     @overload
@@ -316,7 +316,7 @@ class MeshLoader(Protocol[D, S]):
         streaming: Literal[True],
         revision: str | None = None,
         config: str | None = None,
-    ) -> S: ...
+    ) -> mesh.RecordStream[R]: ...
     @overload
     def __call__(
         self,
@@ -326,11 +326,11 @@ class MeshLoader(Protocol[D, S]):
         streaming: bool = False,
         revision: str | None = None,
         config: str | None = None,
-    ) -> D | S: ...
+    ) -> D | mesh.RecordStream[R]: ...
 
 
-def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> MeshLoader[D, S]:
-    """Return the function ``load`` of a kind; ``dataset`` and ``stream`` are the classes that it opens."""
+def loader(kind: DatasetKind, dataset: type[D], record: type[R]) -> MeshLoader[D, R]:
+    """Return the function ``load`` of a kind, for data sets, or streams, of the class of its records."""
 
     def load(
         name: Name | Place,
@@ -344,12 +344,12 @@ def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> MeshLoader[D
         shards = place.shards(split, kind=kind, streaming=streaming)
         names = _class_names(shards, place.name, kind)
         if streaming:
-            return stream(shards, dataset.record_class, kind.class_names)
+            return mesh.RecordStream(shards, record, kind.class_names)
         return dataset(read.ShardedTable(shards), label_names=names)
 
     published = "".join(f", or ``{known.name}`` for the published one" for known in kind.published)
     words = {"nouns": kind.nouns, "made_by": kind.made_by, "published": published}
-    load.__doc__ = _DOC.format(**words, dataset=dataset.__name__, stream=stream.__name__)
+    load.__doc__ = _DOC.format(**words, dataset=dataset.__name__)
     load.__module__ = dataset.__module__
     load.__qualname__ = "load"
     return load

@@ -27,6 +27,7 @@ from tactile_toolkit.printing.file_export import (
     PrintObject,
     Product,
 )
+from tactile_toolkit.touch.images import encode_png
 from tactile_toolkit.value_types import Float64
 
 PLATE_NAME = "calibration-plate"
@@ -267,7 +268,7 @@ def _picture(plate: CalibrationPlate) -> bytes:
         point = pictures.View.OBLIQUE.project(np.array([[x_mm, y_mm, feature.top_mm]]) / MM_PER_M)[0, :2]
         x, y = (middle_px + (point - (low + high) / 2) * (px_per_m, -px_per_m)).tolist()
         pen.write((x, y), str(number), _TEXT_PX, anchor="mm", halo_px=3)
-    return pictures.png_bytes(np.asarray(picture))
+    return encode_png(picture)
 
 
 def _touches(plate: CalibrationPlate) -> list[tuple[PlateFeature, tuple[float, float]]]:

@@ -97,7 +97,7 @@ def export(
     """
     filters = chosen.given()
     plate = options.plates
-    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns)
+    datasets = catalog.open_splits(place, filters.pop("split"), kind)
     objects = choose(datasets.items(), options.base_mm, **filters)
     ending = options.file_format
     overwrite = job.get("overwrite", False)

@@ -21,6 +21,7 @@ from tactile_toolkit.printing.file_export import (
     require_scale,
 )
 from tactile_toolkit.printing.print_options import Physics, PlateSpec
+from tactile_toolkit.touch.images import encode_png
 from tactile_toolkit.value_types import Float64
 from tactile_toolkit.wording import with_count
 
@@ -273,7 +274,7 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     foot_px = depth_px + 2 * _EDGE_PX - 20
     chart.pen.write((_EDGE_PX, foot_px), words, _NUMBER_PX, anchor="ls")
     chart.pen.write((_EDGE_PX, _EDGE_PX - 28), title, _TITLE_PX, anchor="ls")
-    return pictures.png_bytes(np.asarray(picture.reduce(_FINER)))
+    return encode_png(picture.reduce(_FINER))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,10 @@ from realtouch.touch_previews import CONTACT, draw_grid
 from tactile_sim.sets.pairs import Domain, Pairs, decode_depth, encode_depth, make_pairs
 from tactile_sim.sets.set_options import PairSetSpec
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import ShardedTable
 from tactile_toolkit.store import open_folder, read_manifest
+from tactile_toolkit.touch import encode_image
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
 from tests.realtouch.images_of_others import write_table
@@ -127,7 +127,7 @@ def test_depth_survives_its_picture(monkeypatch):
     monkeypatch.setattr("tactile_toolkit.touch.MAX_IMAGE_PIXELS", 10_000)
     for other, words in (
         (b"no picture", "expected a grey PNG"),
-        (png_bytes(image.astype(np.uint8)), "mode L"),
+        (encode_image(image.astype(np.uint8), "png"), "mode L"),
         (encode_depth(np.zeros((101, 100), np.float32)), "100 x 101 pixels"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -188,7 +188,7 @@ def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes,
         pixels = np.full((24, 32, 3), 90, np.uint8)
         if number % 3 == 0:  # a third of them shows contact, so that the median is the gel at rest
             pixels[6:18, 8:24] = rng.integers(150, 256, (12, 16, 3))
-        (home / f"{number:02d}.png").write_bytes(png_bytes(pixels))
+        (home / f"{number:02d}.png").write_bytes(encode_image(pixels, "png"))
         lines.append({"file": f"{number:02d}.png", "label": 1, "session": f"s{number // 6}"})
     write_table(home, [{name: each[name] for name in columns} for each in lines])
     round_column = "session" if "session" in columns else None

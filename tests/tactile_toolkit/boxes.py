@@ -13,7 +13,7 @@ from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.gallery import Gallery
 from tactile_toolkit.generation import DefaultSet, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset
+from tactile_toolkit.mesh import MeshRow, SolidDataset
 from tactile_toolkit.pictures import DrawnSolid
 from tactile_toolkit.places import loader
 from tactile_toolkit.rows import column
@@ -110,5 +110,5 @@ class BoxDataset(SolidDataset):
     record_class = BoxRecord
 
 
-load = loader(KIND, BoxDataset, RecordStream)
+load = loader(KIND, BoxDataset, BoxRecord)
 plan_gallery = partial(Gallery.of_solids, KIND, title="Boxes", columns=BoxRow.with_role("measure"))

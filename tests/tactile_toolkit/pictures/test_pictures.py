@@ -12,8 +12,9 @@ from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import Pen, PicturePlan, PictureTask, Tile, png_bytes, sheet
+from tactile_toolkit.pictures import Pen, PicturePlan, PictureTask, Tile, sheet
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
+from tactile_toolkit.touch import encode_image
 
 
 def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
@@ -71,10 +72,10 @@ def test_a_line_of_text_stays_one_line(written, as_if):
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
 def test_a_png_holds_only_its_pixels(shape, tmp_path):
     pixels = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    png = png_bytes(pixels)
+    png = encode_image(pixels, "png")
     assert np.array_equal(opened(png, tmp_path), pixels)
     assert set(chunks(png)) == {b"IHDR", b"IDAT", b"IEND"}
-    assert png_bytes(pixels[:, ::-1][:, ::-1]) == png
+    assert encode_image(pixels[:, ::-1][:, ::-1], "png") == png
 
 
 def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path):
