@@ -246,6 +246,7 @@ def test_a_zip_around_the_folder_of_a_group_is_named(tmp_path: Path) -> None:
         for path in home.rglob("*"):
             archive.write(path, f"b.zarr/{path.relative_to(home)}")
     refused(tmp_path / "outer.zip", "no arrays in its group 'data'.*what is inside the group's folder")
+    refused(home, "has the arrays .*; expected 'depth'", realtouch.ImportColumns(image="depth"))
 
 
 @pytest.mark.parametrize("codec", ["lz4", "blosc", "zstd", "gzip"])

@@ -19,7 +19,6 @@ from PIL import Image
 import realtouch
 from realtouch.formats.zarr_export import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -210,29 +209,6 @@ def test_an_image_damaged_in_its_middle_is_named(layout, single_rows, tmp_path):
     factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
     with pytest.raises(IntegrityError, match=r"(000|image 0).*cannot be decoded.*tactile select"):
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
-
-
-def test_a_replay_buffer_comes_back(single_folder: Path, tmp_path: Path) -> None:
-    """Pixels, labels, objects, positions and poses of each frame; an episode is a round."""
-    pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
-    realtouch.export(single_folder, tmp_path / "there", "replay", split="train")
-    place = tmp_path / "there" / "replay"
-    words = ("import", place, "--format", "replay", "--cut", "frames", "--out", tmp_path / "back")
-    assert call("realtouch", *words) == 0
-    after = realtouch.load(tmp_path / "back", "train")
-    with zipfile.ZipFile(place / "touches.zarr.zip") as group:
-        data = {name: zarr_array(group, f"data/{name}") for name in ("tactile", "state", "action", "label")}
-        ends = zarr_array(group, "meta/episode_ends")
-    assert np.cumsum(after.touch_counts).tolist() == ends.tolist()
-    for number, touch in enumerate(after.touches()):
-        assert np.array_equal(touch.image, data["tactile"][number])
-        assert touch.label == data["label"][number]
-        np.testing.assert_array_equal(touch.pos_in_cell_m, data["action"][number])
-        np.testing.assert_array_equal(touch.gel_pose.translation, data["state"][number, :3])
-    assert realtouch.verify(tmp_path / "back").ok
-    columns = realtouch.ImportColumns(image="depth")
-    with pytest.raises(InputError, match=r"has the arrays .*; expected 'depth'"):
-        realtouch.import_touches(place, tmp_path / "none", realtouch.ImportSpec("replay", columns))
 
 
 def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(tmp_path, monkeypatch):

@@ -163,27 +163,6 @@ def test_tables_that_unpack_to_huge_sizes_are_refused(tmp_path, monkeypatch):
         found(tmp_path)
 
 
-@pytest.mark.parametrize("kind", ["single", "seq"])
-def test_an_export_of_this_toolkit_is_imported_unchanged(kind, request, tmp_path):
-    source = request.getfixturevalue(f"{kind}_folder")
-    realtouch.export(source, tmp_path / "flat", "flat")
-    realtouch.import_touches(tmp_path / "flat", tmp_path / "back", realtouch.ImportSpec("flat"))
-    for split in ("train", "test"):
-        before, after = realtouch.load(source, split), realtouch.load(tmp_path / "back", split)
-        assert after.ids.tolist() == before.ids.tolist()
-        assert after.labels.tolist() == before.labels.tolist()
-        assert {after.label_names[label] for label in after.labels} == {str(label) for label in before.labels}
-        flat = pq.read_table(tmp_path / "flat" / "data" / f"{split}-00000-of-00001.parquet").to_pylist()
-        stored = [
-            bytes(each.sensor_image.encoded(touch)) for each in after for touch in range(each.touch_count)
-        ]
-        assert stored == [row["image"]["bytes"] for row in flat]
-        for row, touch in zip(flat, after.touches(), strict=True):
-            pose = [row[name] for name in realtouch.touch_options.POSE_COLUMNS]
-            np.testing.assert_array_equal(touch.gel_pose.translation, pose[:3])
-    assert realtouch.verify(tmp_path / "back").ok
-
-
 @pytest.mark.thorough
 def test_any_damage_gives_a_result_or_a_message(tmp_path: Path) -> None:
     """600 files with bytes flipped, removed or inserted."""

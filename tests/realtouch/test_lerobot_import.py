@@ -300,53 +300,6 @@ def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
     assert [len(pictures(recordings[number])) for number in (0, 2)] == [5, 4]
 
 
-@pytest.mark.parametrize("kind", ["single", "seq"])
-def test_an_export_becomes_the_same_set(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    """Positions and poses are in single precision there; each image of a clip has its time."""
-    source = request.getfixturevalue(f"{kind}_folder")
-    realtouch.export(source, tmp_path / "there", "lerobot", split="train")
-    realtouch.import_touches(
-        tmp_path / "there", tmp_path / "back", realtouch.ImportSpec("lerobot" if kind == "single" else None)
-    )
-    before, after = realtouch.load(source, "train"), realtouch.load(tmp_path / "back", "train")
-    assert after.ids.tolist() == before.ids.tolist()
-    assert (after.label_names, after.labels.tolist()) == (before.label_names, before.labels.tolist())
-    for old, new in zip(before, after, strict=True):
-        assert (old.object_id, old.touch_count) == (new.object_id, new.touch_count)
-        assert [*new.extra] == ["time_s"] * (kind == "single")
-        np.testing.assert_array_equal(new.pos_in_cell_m, old.pos_in_cell_m.astype(np.float32))
-        if kind == "single":
-            pairs = [
-                (old.sensor_image, old.gel_pose_cell_frame),
-                (new.sensor_image, new.gel_pose_cell_frame),
-            ]
-            parts = [pairs]
-        else:
-            clips = zip(old.sensor_video, new.sensor_video, strict=True)
-            parts = [[(clip, clip.poses) for clip in pair] for pair in clips]
-            for (clip, _), (again, _) in parts:
-                np.testing.assert_allclose(again.timestamps_s, clip.timestamps_s, atol=1e-6)
-        for (images, poses), (new_images, new_poses) in parts:
-            stored = [bytes(images.encoded(number)) for number in range(len(images))]
-            assert [bytes(new_images.encoded(number)) for number in range(len(new_images))] == stored
-            for name in ("position_m", "quaternion"):
-                expected = getattr(poses, name).astype(np.float32)
-                np.testing.assert_array_equal(getattr(new_poses, name), expected)
-    assert realtouch.verify(tmp_path / "back").ok
-
-
-@pytest.mark.parametrize(("version", "dtype"), KINDS)
-def test_a_set_of_others_is_imported(version: str, dtype: str, tmp_path: Path) -> None:
-    truth = write_lerobot(tmp_path / "home", version, dtype)
-    manifest = realtouch.import_touches(tmp_path / "home", tmp_path / "out", realtouch.ImportSpec("lerobot"))
-    assert manifest.skipped_reasons() == {}
-    assert [len(realtouch.load(tmp_path / "out", split).touches()) for split in ("train", "test")] == [12, 4]
-    first = realtouch.load(tmp_path / "out", "train")[0]
-    assert (first.id, first.touch_count) == ("episode_000000", 5)
-    if dtype == "image":
-        assert [bytes(first.sensor_image.encoded(touch)) for touch in range(5)] == truth.jpegs[0]
-
-
 def other_number(random: np.random.Generator, content: bytes) -> bytes:
     """Return JSON with one number or text changed."""
     matches = list(re.finditer(rb"-?\d+|\"[^\"]*\"", content))
