@@ -17,6 +17,7 @@ from mnist3d.solid import algorithm, picture_ink
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store, touch
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.value_types import Bool, UInt8
 
 _VIEW_PX = (760, 560)
@@ -208,7 +209,8 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
         str(path), None, spec.size, changes=spec.changes, which=spec.ink, threshold=spec.threshold, page=page
     )
     part = algorithm.solid_of_ink(sized, spec.base_mm).on_plate()
-    report = mesh.inspect(part, spec.profile)
+    verdict = solid_check.require_solid(part)
+    report = mesh.inspect(part, spec.profile, verdict)
     notes = sized.notes
     if spec.base_mm is not None:
         width, depth = (side - 2 * mesh.BASE_MARGIN_MM for side in report.size_mm[:2])
@@ -217,7 +219,7 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
     def record(_verdict: object, size: int, state: str) -> PrintedPicture:
         return PrintedPicture(str(path), f"{stem}{ending}", report, notes, size, state)
 
-    made = printing.Made.of_solid(stem, ending, part, record)
+    made = printing.Made.of_solid(stem, ending, part, record, verdict=verdict)
     if spec.preview:
         preview = {f"{stem}{_PREVIEW}": _drawn(path.name, sized.mask, part, report)}
         made = replace(made, files={**preview, **made.files})

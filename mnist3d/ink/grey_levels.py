@@ -108,6 +108,9 @@ _LIGHT = 200
 _EVEN_MARGIN = 0.95
 _PLAIN = 0.97
 
+# Longer side at which these shares are exact enough.
+_ENOUGH_PX = 700
+
 # Least share of the picture that grey levels lose before colours are compared.
 _LOST = 2e-4
 
@@ -251,7 +254,9 @@ def is_graphic(colours: UInt8) -> bool:
 
     Its paper has one level up to the margin, and only the edges of its ink lie between paper and ink.
     """
-    difference = unlike_paper(np.atleast_3d(colours))
+    step = max(1, max(colours.shape) // _ENOUGH_PX)
+    colours = np.atleast_3d(colours)[::step, ::step]
+    difference = unlike_paper(colours)
     is_paper = difference <= _SAME
     is_ink = difference >= DIFFERENT
     if not is_paper.any() or colours[is_paper].min() < _LIGHT:

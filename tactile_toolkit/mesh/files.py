@@ -270,6 +270,8 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     # GLB is in metres by its specification; the others state no unit, and slicers assume millimetres.
     if ending == ".glb":
         return gltf.pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
+    if ending == ".stl":
+        return plain_formats.pack_stl(mesh.vertices_mm[mesh.faces])
     import trimesh  # takes a second to import
 
     packed = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False).export(file_type=ending[1:])

@@ -167,6 +167,16 @@ def _flattened(vertices: Float64, polygons: Int64) -> tuple[Float64, Bool]:
     return flat, np.asarray((turns > 0).all(axis=1))
 
 
+def pack_stl(corners: Float64) -> bytes:
+    """Return the content of a binary STL file with triangles, shape (N, 3, 3)."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1])
+    lengths = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+    facets = np.zeros(len(corners), _FACET)
+    facets["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    facets["corners"] = corners
+    return bytes(_HEADER_BYTES - 4) + len(facets).to_bytes(4, "little") + facets.tobytes()
+
+
 def read_stl(data: bytes) -> Surface:
     """Read STL: binary where the size of the file matches its stated number of triangles, otherwise text."""
     stated = int.from_bytes(data[_HEADER_BYTES - 4 : _HEADER_BYTES], "little")

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.rows import TypedRow, column
 from tactile_toolkit.value_types import Float32, Float64, JsonDict
 from tactile_toolkit.wording import with_count
@@ -200,7 +200,9 @@ class PrintReport(TypedRow):
         )
 
 
-def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
+def inspect(
+    mesh: MeshLike, profile: PrintProfile | None = None, check: ManifoldCheck | None = None
+) -> PrintReport:
     """Check whether a mesh bounds a solid, and measure it for printing.
 
     A mesh that is not a solid gives a report, not an exception.
@@ -211,6 +213,8 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
         In metres, z pointing away from the plate.
     profile : PrintProfile, optional
         Printer and material.
+    check : ManifoldCheck, optional
+        Result of :func:`check_manifold`, if it is known.
 
     Returns
     -------
@@ -221,15 +225,19 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     InputError
         The mesh has no triangles.
     """
+    mesh = Mesh.of(mesh)
+    profile = profile or PrintProfile()
+    check = check or check_manifold(mesh)
+    if check.problem is not None:
+        counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
+        return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
+    return _report_of_solid(mesh, check, profile)
+
+
+def _report_of_solid(mesh: Mesh, check: ManifoldCheck, profile: PrintProfile) -> PrintReport:
     # numba takes half a second to import.
     from tactile_toolkit.mesh.walls import leaning_out, thinnest_wall_mm
 
-    mesh = Mesh.of(mesh)
-    profile = profile or PrintProfile()
-    check = check_manifold(mesh)
-    counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
-    if check.problem is not None:
-        return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
     vertices_mm = mesh.vertices_mm
     faces = mesh.faces.astype(np.int64)
     # Axis by axis: numpy takes thirteen times as long along rows of three.
@@ -258,6 +266,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
         "too-tall": size_mm[2] > profile.max_height_mm,
     }
     warnings = tuple(word for word in WARNINGS if is_raised[word])
+    counts = (len(vertices_mm), len(faces), check.bodies, check.genus, check.volume_mm3)
     measured = (mass_g, *size_mm, wall_mm, overhang_mm2, contact_mm2)
     return PrintReport(
         True, check.status, None, None, *counts, *measured, warnings, mesh.notes, check.lows_mm

@@ -143,13 +143,15 @@ class Made(Generic[R]):
         solid: mesh.Mesh,
         record: Callable[[solid_check.ManifoldCheck, int, str], R],
         beside: Mapping[str, bytes] | None = None,
+        verdict: solid_check.ManifoldCheck | None = None,
     ) -> Made[R]:
         """Make the file of one solid; it is read back in the check.
 
         ``record`` takes the check of the solid, the number of bytes of the file, and the state. ``beside``
-        are further files. Raises ItemError for a mesh that bounds no solid.
+        are further files, ``verdict`` is the check if it is known. Raises ItemError for a mesh that bounds no
+        solid.
         """
-        verdict = solid_check.require_solid(solid)
+        verdict = verdict or solid_check.require_solid(solid)
         content = pack_mesh(solid, ending, name)
 
         def check() -> None:
