@@ -284,6 +284,8 @@ def stroke_width_px(mask: Bool) -> float:
 
 def thinnest_stroke_px(mask: Bool) -> float:
     """Return the width of the strokes of the piece of ink with the thinnest ones."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    mask = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     labels, count = ndimage.label(mask, np.ones((3, 3)))
     depths = ndimage.mean(_depth_px(mask), labels, np.arange(1, count + 1))
     return float(_WIDTH_PER_DEPTH * np.min(depths))

@@ -34,6 +34,7 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 # Without a terminal, each line is kept: a job of one day writes about 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0
 _SILENT_S = 60.0  # a step may take minutes, and a log without a line looks like a hang
+_FIRST_S = 1.0
 _BAR_INTERVAL_S = 0.1
 _BAR = 24
 
@@ -255,7 +256,8 @@ def working_folder() -> Path:
 def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Callable[[int, int], None]]:
     """Show the progress of some work, and nothing if it ends within ``quiet_s`` seconds.
 
-    A line a minute says that it is at work while no item is finished.
+    While no item is finished, a line a minute says that it is at work; at a terminal, each second until the
+    first item.
 
     Yields
     ------
@@ -291,8 +293,9 @@ def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Calla
         show(state, f"{'━' * (_BAR * done // total):<{_BAR}} ")
 
     def report_life() -> None:
-        while not ended.wait(_SILENT_S):
-            if time.monotonic() - written_s >= _SILENT_S:
+        while not ended.wait(_FIRST_S):
+            silent_s = max(_FIRST_S, quiet_s) if is_bar and last_s is None else _SILENT_S
+            if time.monotonic() - written_s >= silent_s:
                 show(f"{what}: at work for {wording.duration_text(time.monotonic() - start_s)}")
 
     ended = threading.Event()

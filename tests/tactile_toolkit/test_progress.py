@@ -29,13 +29,16 @@ def test_lines_come_every_few_seconds_and_at_the_end(quiet_s, expected, capsys, 
     assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()] == expected
 
 
-@pytest.mark.parametrize("quiet_s", [0.0, 60.0])
-def test_a_line_says_that_work_goes_on_while_no_item_is_finished(quiet_s, monkeypatch):
-    """Also where progress is not shown before some seconds."""
-    monkeypatch.setattr("tactile_toolkit.run.this_process._SILENT_S", 0.01)
+@pytest.mark.parametrize(
+    ("is_terminal", "quiet_s", "silent_s"),
+    [(False, 0.0, 0.01), (False, 60.0, 0.01), (True, 0.0, 3600.0)],
+    ids=["a line a minute", "also where progress is not shown before some seconds", "at a terminal at once"],
+)
+def test_a_line_says_that_work_goes_on_while_no_item_is_finished(is_terminal, quiet_s, silent_s, monkeypatch):
+    monkeypatch.setattr("tactile_toolkit.run.this_process._SILENT_S", silent_s)
     written = Queue[str]()
-    monkeypatch.setattr("sys.stderr", Mock(isatty=lambda: False, write=written.put))
+    monkeypatch.setattr("sys.stderr", Mock(isatty=lambda: is_terminal, write=written.put))
     with shown_progress("calibrating", "steps", quiet_s):
-        assert written.get(timeout=60).startswith("calibrating: at work for ")
+        assert written.get(timeout=60).lstrip("\r").startswith("calibrating: at work for ")
     with shown_progress("nothing", "steps", math.inf):
         assert "nothing" not in "".join(written.queue)
