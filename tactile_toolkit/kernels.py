@@ -2,14 +2,19 @@
 
 Without fastmath each operation is an IEEE one, in the order in which it is written: values do not depend on
 the processor. By itself numba checks only the file of a kernel, and misses a change of a kernel in another
-file that was compiled into it. The locators here check the files of both.
+file that was compiled into it. The locators here check the files of both. Users who cannot write where an
+administrator has compiled copy the code from there.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
+import shutil
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from importlib import import_module
@@ -19,10 +24,10 @@ from typing import Any, TypeVar, overload
 
 import numba
 from numba import extending
-from numba.core import caching, sigutils
+from numba.core import caching, event, sigutils
 from numba.core.compiler_lock import global_compiler_lock
 
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors, run, store
 from tactile_toolkit.cache import LOCKS, cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -34,6 +39,7 @@ _COMPILER = "tactile_toolkit.kernels"
 # nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an exception
 # that every loop has to check. No wrapper for C, which would be unused: it takes a tenth of the time.
 _SETTINGS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_TELL_AFTER_S = 1.0
 _with_types: dict[str, list[tuple[Any, str]]] = {}  # kernels and their types, by module
 
 
@@ -126,7 +132,74 @@ class _CompileOnce:
                 pass
             # The collector takes an eighth of the time, and finds nothing.
             stack.enter_context(store.without_collecting())
+            with contextlib.suppress(OSError):  # it is compiled again
+                _copy_shared(self._kernel)
             return self._compile_or_load(types)
+
+
+class _Notice(event.Listener):
+    """Says on stderr what takes so long, after a second of compiling; numba reports when it compiles."""
+
+    def __init__(self) -> None:
+        self._spent_s = self._begun_s = 0.0
+        self._depth = 0  # kernels are compiled while those that call them are
+        self._timer: threading.Timer | None = None
+        self._lock = contextlib.ExitStack()
+
+    def on_start(self, event: Any) -> None:
+        """Wait for the rest of the second."""
+        self._depth += 1
+        is_ours = isinstance(getattr(event.data["dispatcher"], "compile", None), _CompileOnce)
+        if self._depth == 1 and is_ours and not os.environ.get(run.QUIET_VARIABLE):
+            self._begun_s = time.monotonic()
+            self._timer = threading.Timer(max(_TELL_AFTER_S - self._spent_s, 0.0), self._tell)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def on_end(self, event: Any) -> None:
+        """Stop the clock."""
+        self._depth -= 1
+        if self._depth == 0 and self._timer is not None:
+            self._timer.cancel()
+            self._spent_s += time.monotonic() - self._begun_s
+            self._timer = None
+
+    def _tell(self) -> None:
+        try:
+            # Held until the process ends: other workers, which compile at the same time, are silent.
+            self._lock.enter_context(store.locked(cache_folder() / LOCKS / "notice", patience_s=0.0))
+        except errors.BusyError:
+            return
+        except (OSError, errors.ToolkitError):
+            pass
+        # Over the line of a progress bar, which is drawn again.
+        begin, end = ("\r", "\x1b[K\n") if sys.stderr.isatty() else ("", "\n")
+        sys.stderr.write(f"{begin}note: functions are compiled; only the first use takes so long{end}")
+        os.environ[run.QUIET_VARIABLE] = "1"
+
+
+_register: Any = event.register
+_register("numba:compile", _Notice())
+
+
+def _copy_shared(kernel: Any) -> None:
+    """Copy the code of a kernel that others have compiled to the user's folder, if that has none.
+
+    It may lie beside the source, or in the folder that ``NUMBA_CACHE_DIR`` names. Names of files hold a
+    digest of the source, and numba compares its version and the processor.
+    """
+    source = kernel.py_func.__code__.co_filename
+    folders = [Path(source).parent / "__pycache__"]
+    settings: Any = numba.config
+    if settings.CACHE_DIR:
+        locator: Any = caching.UserProvidedCacheLocator
+        folders.insert(0, Path(settings.CACHE_DIR) / locator.get_suitable_cache_subpath(source))
+    index = Path(kernel._cache._cache_file._index_path)
+    for folder in folders:
+        if not index.exists() and (folder / index.name).exists():
+            for file in sorted(folder.glob(f"{index.stem}.*.nbc")):
+                shutil.copyfile(file, index.parent / file.name)
+            shutil.copyfile(folder / index.name, index)
 
 
 class _AllFiles:

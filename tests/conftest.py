@@ -47,6 +47,9 @@ gc.disable()
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     sys.dont_write_bytecode = False
 
+# Kernels are compiled by whichever test needs them first, and tests compare what is printed.
+os.environ["TACTILE_TOOLKIT_QUIET"] = "1"
+
 # No test uses a server with a certificate, and each client would read all certificates of the system.
 os.environ.pop("SSL_CERT_FILE", None)
 os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)

@@ -27,6 +27,9 @@ from typing import Any, TypeVar
 from tactile_toolkit import wording
 from tactile_toolkit.errors import InputError
 
+QUIET_VARIABLE = "TACTILE_TOOLKIT_QUIET"
+"""If set, this process and its workers print no notes; set by ``--quiet``."""
+
 T = TypeVar("T")
 R = TypeVar("R")
 _PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")

@@ -53,16 +53,20 @@ def write_kernels(folder: Path, added: int) -> None:
     (package / "caller.py").write_text(_CALLER)
 
 
-def start(folder: Path, code: str) -> subprocess.Popen[str]:
+def start(folder: Path, code: str, **extra: str) -> subprocess.Popen[str]:
     variables = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     variables["PYTHONPATH"] = os.pathsep.join([str(folder), *sys.path])
     variables["TACTILE_TOOLKIT_CACHE"] = str(folder / "cache")
     command = [sys.executable, "-B", "-c", textwrap.dedent(code)]
-    return subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True)
+    pipes = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE if "TACTILE_TOOLKIT_QUIET" in extra else None,
+    }
+    return subprocess.Popen(command, env=variables | extra, text=True, **pipes)  # type: ignore[call-overload, no-any-return]
 
 
-def printed(folder: Path, code: str) -> str:
-    with start(folder, code) as process:
+def printed(folder: Path, code: str, **extra: str) -> str:
+    with start(folder, code, **extra) as process:
         text, _ = process.communicate()
     assert process.returncode == 0
     return text.strip()
@@ -126,3 +130,60 @@ def test_kernels_with_types_are_ready_and_are_those_of_the_first_call(tmp_path: 
         "from made_up_kernels.caller import second; print(second(3), sum(second.stats.cache_hits.values()))"
     )
     assert printed(tmp_path, called) == "2 1"
+
+
+_SLOW = """
+import time
+from numba import extending
+from tactile_toolkit import kernels
+
+def pause():
+    return None
+
+@extending.overload(pause)
+def pause_compiled():
+    time.sleep(1.2)  # while it is compiled
+    return lambda: None
+
+@kernels.compiled
+def first(x):
+    pause()
+    return x
+
+@kernels.compiled
+def second(x):
+    pause()
+    return x
+"""
+
+
+@pytest.mark.parametrize(("quiet", "notes"), [("", 1), ("1", 0)])
+def test_what_takes_so_long_is_said_once(tmp_path: Path, quiet: str, notes: int) -> None:
+    write_kernels(tmp_path, 1)
+    (tmp_path / "made_up_kernels" / "slow.py").write_text(_SLOW)
+    code = "from made_up_kernels import slow; slow.first(1); slow.second(1)"
+    for expected in (notes, 0):
+        processes = [start(tmp_path, code, TACTILE_TOOLKIT_QUIET=quiet) for _ in range(2)]
+        lines = "".join(process.communicate()[1] for process in processes).splitlines()
+        assert [line[:28] for line in lines] == ["note: functions are compiled"] * expected
+
+
+def test_users_take_what_an_administrator_has_compiled(tmp_path: Path) -> None:
+    write_kernels(tmp_path, 1)
+    (tmp_path / "home").mkdir()
+    shared = tmp_path / "shared"
+    code = """
+        import os, tempfile
+        def try_folder(dir, check=tempfile.TemporaryFile):
+            if {is_user} and not dir.startswith(os.environ["XDG_CACHE_HOME"]):
+                raise PermissionError
+            return check(dir=dir)
+        tempfile.TemporaryFile = try_folder  # by which numba learns whether it can write
+        from made_up_kernels import callee, caller
+        print(caller.first(3), sum(caller.first.stats.cache_hits.values()))
+        """
+    folders = {"NUMBA_CACHE_DIR": str(shared), "XDG_CACHE_HOME": str(tmp_path / "home")}
+    assert printed(tmp_path, code.format(is_user=False), **folders) == "8 0"
+    assert printed(tmp_path, code.format(is_user=True), **folders) == "8 1"
+    write_kernels(tmp_path, 5)  # another version
+    assert printed(tmp_path, code.format(is_user=True), **folders) == "16 0"
