@@ -25,7 +25,6 @@ from tactile_toolkit.mesh import (
 from tactile_toolkit.value_types import JsonDict
 
 _ROWS_SHOWN = 20
-_COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
 _SHOWN = [
     column
     for name, column in mesh.PrintReport.columns().items()
@@ -122,7 +121,7 @@ def _unreadable(detail: str) -> mesh.PrintReport:
 def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:
     try:
         row.integer("label")
-        return mesh.inspect(mesh.Mesh(row.array(mesh.VERTICES), row.array(mesh.FACES)), profile)
+        return mesh.inspect(mesh.SolidRecord(row), profile)
     except IntegrityError as error:
         return _unreadable(str(error))
 
@@ -186,7 +185,7 @@ def check_meshes(
     shards = catalog.shards_to_check(opened, split, kind)
     check = partial(_inspect_row, profile=profile)
     items = []
-    for row in catalog.check_rows(shards, check, _COLUMNS, limit, workers, on_progress):
+    for row in catalog.check_rows(shards, check, limit, workers, on_progress):
         report = row.result
         if report is None:
             row_name = f"split {row.split!r}, row {row.row} of {row.file}"

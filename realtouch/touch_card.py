@@ -65,8 +65,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
     family = touch.sensor_family(schema.sensor_of(facts.schema, manifest))
-    table = read.ShardedTable(tuple(shard for split in facts.splits for shard in split.shards))
-    contact_sources = schema.ContactSource.of_files(table.schemas)  # merged sets may have several
+    contact_sources = schema.ContactSource.of_files(facts.table.schemas)  # merged sets may have several
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
@@ -211,7 +210,7 @@ def _stored_content(
 def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
     """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
     ends: dict[str, list[Any]] = {}
-    for shard in (shard for split in facts.splits for shard in split.shards):
+    for shard in facts.table.files:
         for chunk in shard.column_chunks():
             name = _LIST_SUFFIX.sub("", chunk.path_in_schema)
             statistics = chunk.statistics
@@ -278,7 +277,7 @@ def _first_rounds(
 ) -> Iterator[rounds.TouchSeqRound | rounds.TouchSingleRound]:
     """Yield the first round of each of the first blocks; the blocks are not kept in the cache."""
     record = rounds.TouchSingleRound if kind == "single" else rounds.TouchSeqRound
-    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
+    shard = next(filter(len, facts.table.files), None)
     if shard is None:
         return
     for group in islice(shard.blocks(0), _ROUNDS_SEEN):

@@ -13,17 +13,14 @@ from starstruck_gen import scene, scene_dataset
 from starstruck_gen.kind import KIND
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
+from tactile_toolkit.mesh import MM_PER_M, Mesh, check_manifold
 from tactile_toolkit.value_types import JsonDict
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     import manifold3d
 
-_COLUMNS = (
-    *("id", "label", VERTICES, FACES),
-    *("star_count", "distractor_count", "placements", "seed", "attempts", "restarts"),
-)
+_COLUMNS = ("star_count", "distractor_count", "placements", "seed", "attempts", "restarts")
 # Id of rows whose id is null, as JSON and tables need a number.
 _NO_ID = -1
 _SHOWN = 20
@@ -105,10 +102,10 @@ def check_content(
     rows = catalog.check_rows(
         shards,
         partial(_check_row, names=names),
-        _COLUMNS,
         limit,
         workers,
         on_progress,
+        _COLUMNS,
     )
     failures = []
     bodies = 0

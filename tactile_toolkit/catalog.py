@@ -274,16 +274,16 @@ class _Part(NamedTuple):
 def check_rows(
     shards: Sequence[tuple[str, read.Shard]],
     check: Callable[[read.Row], T],
-    columns: Sequence[str],
-    limit: int | None = None,
-    workers: int = 1,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    limit: int | None,
+    workers: int,
+    on_progress: Callable[[int, int], None],
+    columns: Sequence[str] = (),
 ) -> list[CheckedRow[T]]:
     """Check rows in several processes and return the results, in the order of the rows.
 
-    ``check``, which must be picklable, takes each row in which none of ``columns`` is null at any depth. With
-    ``limit`` only the first rows of each split are checked. ``on_progress`` gets the number of checked rows
-    and the total.
+    ``check``, which must be picklable, takes each row in which no column of a mesh, and none of ``columns``,
+    is null at any depth. With ``limit`` only the first rows of each split are checked. ``on_progress`` gets
+    the number of checked rows and the total.
     """
     parts: list[_Part] = []
     left = dict.fromkeys((split for split, _ in shards), limit or math.inf)
@@ -296,7 +296,9 @@ def check_rows(
     total = sum(part.rows for part in parts)
     done = 0
     results: dict[int, list[CheckedRow[T]]] = {}
-    for number, checked in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
+    for number, checked in run.runner_for(workers).run(
+        partial(_check_part, check, (*mesh.MESH_COLUMNS, *columns)), parts
+    ):
         results[number] = checked
         done += len(checked)
         on_progress(done, total)

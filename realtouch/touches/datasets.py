@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 _POSITION = ("x_m", "y_m")
 
-# Imported on use: it measures touches.
+# Imported on use: they take touches.
 _contacts_by_image = kind.lazy("realtouch.touches.image_contacts:contacts_by_image")
+_with_no_contact = kind.lazy("realtouch.touches.image_contacts:with_no_contact")
 R = TypeVar("R", bound=rounds.TouchRound)
 
 
@@ -538,7 +539,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         if no_contact_fraction is not None:
             if contact is None:
                 contact = self.in_contact()
-            chosen = self._select(with_no_contact(self, contact, no_contact_fraction, seed))
+            chosen = self._select(_with_no_contact(self, contact, no_contact_fraction, seed))
             if n is None:
                 return chosen
         if n is None:
@@ -629,32 +630,6 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
 
 AnyTouches = Touches[Any]
 """Touches of rounds of either kind."""
-
-
-def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: int) -> Int64:
-    """Return the positions of all touches with contact, and of a share of those without.
-
-    Raises InputError for an invalid fraction, seed or mask.
-    """
-    share = checked_fields.to_builtin(fraction, float)
-    number = checked_fields.checked_integer(seed, "the seed")
-    mask = np.asarray(contact)
-    if not isinstance(share, float) or not 0 <= share < 1:
-        raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
-    if mask.dtype != bool or mask.shape != (len(touches),):
-        raise errors.InputError(
-            f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
-        )
-    (empty,) = np.nonzero(~mask)
-    count = min(len(empty), round((len(touches) - len(empty)) * share / (1 - share)))
-    if not count:
-        return np.flatnonzero(mask)
-    ids = touches.dataset.ids[touches.round_positions[empty]].tolist()
-    texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
-    keys = [f"{number} {name} {touch}".encode() for name, touch in texts]
-    drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]
-    order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
-    return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
 class _RowsWithoutMedia(read.RowGroup):

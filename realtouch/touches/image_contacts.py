@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from itertools import islice
@@ -10,8 +11,8 @@ import numpy as np
 
 from realtouch import contact
 from realtouch.touches import media, rounds
-from realtouch.touches.datasets import AnyTouches, Touches, with_no_contact
-from tactile_toolkit import errors
+from realtouch.touches.datasets import AnyTouches, Touches
+from tactile_toolkit import checked_fields, errors
 from tactile_toolkit.value_types import Bool, Float64, Int64, UInt8
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
@@ -134,6 +135,32 @@ def best_frame(
             best = start + frame, score
         start += len(piece)
     return best
+
+
+def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: int) -> Int64:
+    """Return the positions of all touches with contact, and of a share of those without.
+
+    Raises InputError for an invalid fraction, seed or mask.
+    """
+    share = checked_fields.to_builtin(fraction, float)
+    number = checked_fields.checked_integer(seed, "the seed")
+    mask = np.asarray(contact)
+    if not isinstance(share, float) or not 0 <= share < 1:
+        raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
+    if mask.dtype != bool or mask.shape != (len(touches),):
+        raise errors.InputError(
+            f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
+        )
+    (empty,) = np.nonzero(~mask)
+    count = min(len(empty), round((len(touches) - len(empty)) * share / (1 - share)))
+    if not count:
+        return np.flatnonzero(mask)
+    ids = touches.dataset.ids[touches.round_positions[empty]].tolist()
+    texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
+    keys = [f"{number} {name} {touch}".encode() for name, touch in texts]
+    drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]
+    order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
+    return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-from tactile_toolkit import places, read
+from tactile_toolkit import places
 from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.cards.owner import LICENCES
 from tactile_toolkit.errors import InputError
@@ -75,7 +75,7 @@ def rows_by_source(facts: yaml_head.FolderSummary) -> list[SourceRows]:
     source = source_column(facts.schema.names)
     if not source:
         return []
-    rows = read.ShardedTable(tuple(shard for split in facts.splits for shard in split.shards))
+    rows = facts.table
     pairs = zip(rows.column(source).tolist(), rows.column(LICENCE).tolist(), strict=True)
     counts = Counter((name or "", licence or UNKNOWN) for name, licence in pairs)
     return [SourceRows(*pair, count) for pair, count in counts.items()]

@@ -83,6 +83,11 @@ class FolderSummary:
         return cls(tuple(splits), schema, viewer_files(manifest))
 
     @property
+    def table(self) -> read.ShardedTable:
+        """The rows of all splits, one after another."""
+        return read.ShardedTable(tuple(shard for split in self.splits for shard in split.shards))
+
+    @property
     def rows(self) -> int:
         """Rows of all splits."""
         return sum(split.rows for split in self.splits)
@@ -90,7 +95,7 @@ class FolderSummary:
     @cached_property
     def features(self) -> list[JsonDict]:
         """Columns as `datasets` describes them in a card."""
-        first = next((shard.path for split in self.splits for shard in split.shards), "")
+        first = next((shard.path for shard in self.table.files), "")
         return schemas.yaml_features(self.schema, first)
 
     def first_rows(self, columns: Sequence[str]) -> Iterator[read.Row]:

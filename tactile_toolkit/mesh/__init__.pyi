@@ -33,6 +33,7 @@ from .raster import (
 )
 from .records import (
     FACES as FACES,
+    MESH_COLUMNS as MESH_COLUMNS,
     MeshRow as MeshRow,
     RecordStream as RecordStream,
     require_mesh_columns as require_mesh_columns,

@@ -29,6 +29,9 @@ VERTICES = "mesh.vertices"
 FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
 
+MESH_COLUMNS = ("id", "label", VERTICES, FACES)
+"""Columns of the published mesh layout."""
+
 # Ids and labels are checked row by row: a float may hold an integer.
 _MESH_TYPES: dict[str, read.Expected] = {
     VERTICES: read.Expected(2, (pa.types.is_floating,), "three floats per vertex"),
@@ -49,7 +52,7 @@ def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
     ``made_by`` is the command that writes such data sets, for the message.
     """
     names = read.column_names(schema)
-    missing = [column for column in ("id", "label", VERTICES, FACES) if column not in names]
+    missing = [column for column in MESH_COLUMNS if column not in names]
     problem = f"column {missing[0]!r} is missing (found {', '.join(names)})" if missing else ""
     problem = problem or read.Expected.problem(read.column_types(schema), _MESH_TYPES)
     if problem:
