@@ -56,6 +56,18 @@ def single_folder(
     return factories.write_set(folder, {"test": factories.single_rows(held_out)}, "single")
 
 
+@pytest.fixture(params=["single", "seq"])
+def source(request: pytest.FixtureRequest) -> Path:
+    return request.getfixturevalue(f"{request.param}_folder")
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write a file for each round, so that there are several."""
+    monkeypatch.setattr("realtouch.convert.conversion._MAX_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr("realtouch.formats.lerobot_export._FILE_BYTES", 1 << 10)
+
+
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
     home = tmp_path / "home"

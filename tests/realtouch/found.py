@@ -1,18 +1,26 @@
-"""Results of readers of sources, as objects that tests compare."""
+"""Results of readers of sources, as objects that tests compare; readings of damaged sources."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch.formats import ros_bags
 from realtouch.importing.cuts import Cutter
+from realtouch.importing.import_options import ImportColumns, ImportSpec
+from realtouch.importing.import_sources import IMPORTS, find_source
 from realtouch.importing.source_touches import PictureLocation, Recording, SourceTouches, one_chunk
 from realtouch.touches.schema import array_with_gaps
 from tactile_toolkit.columns import column_types
+from tactile_toolkit.errors import ItemError, ToolkitError
+from tests.mutations import mutated, with_other_numbers
+
+_TEXTS = (".json", ".jsonl", ".zarray", ".zgroup")
 
 
 @dataclass(frozen=True)
@@ -70,3 +78,30 @@ def per_frame(recording: Recording, name: str) -> np.ndarray:
 def columns(given: dict[str, Any]) -> dict[str, pa.Array]:
     """Return the columns of arrays, or of any values."""
     return {name: column_types.column_of(each) for name, each in given.items()}
+
+
+def require_pictures_or_messages(source: Path, layout: str, image: str = "file", count: int = 400) -> None:
+    """Read many damaged copies of a source: each gives pictures, or an error of the toolkit.
+
+    Bytes of any file are changed, and numbers in files of text.
+    """
+    files = sorted(path for path in source.rglob("*") if path.is_file()) if source.is_dir() else [source]
+    whole = {path: path.read_bytes() for path in files}
+    spec = ImportSpec(layout, ImportColumns(image=image))
+    read = refused = 0
+    for seed in range(count):
+        path = files[seed // 2 % len(files)]
+        damage = with_other_numbers if path.name.endswith(_TEXTS) and seed % 2 else mutated
+        path.write_bytes(damage(whole[path], seed))
+        ros_bags._opened.cache_clear()
+        try:
+            touches = find_source(str(source), spec).touches
+            usable = touches.take(np.flatnonzero(touches.is_usable))
+            contents = list(IMPORTS[layout].contents(usable))
+            assert len(contents) == sum(max(1, place.frames) for place in usable) < 10_000
+            assert all(isinstance(each, (bytes, ItemError)) for each in contents)
+            read += 1
+        except ToolkitError:
+            refused += 1
+        path.write_bytes(whole[path])
+    assert min(read, refused) > count // 50

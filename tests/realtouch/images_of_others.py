@@ -42,18 +42,3 @@ def write_tar(path: Path, members: list[tuple[str, bytes]]) -> None:
             entry = tarfile.TarInfo(name)
             entry.size = len(content)
             tar.addfile(entry, io.BytesIO(content))
-
-
-def spoiled(random: np.random.Generator, content: bytes) -> bytes:
-    """Return a file with bytes flipped, removed or inserted."""
-    data = bytearray(content)
-    for _ in range(random.integers(1, 4)):
-        at, size = int(random.integers(len(data) + 1)), int(random.integers(1, 40))
-        kind = random.integers(4)
-        if kind == 0:
-            del data[at : at + size]
-        elif kind == 1:
-            data[at:at] = random.bytes(size)
-        else:
-            data[at : at + size // 10 + 1] = random.bytes(size // 10 + 1)
-    return bytes(data)

@@ -284,24 +284,6 @@ def test_no_chunk_or_metadata_is_read_through_a_link_or_from_a_pipe(tmp_path: Pa
     refused(home, "a link leads out of the folder")
 
 
-def test_round_ids_and_class_names_come_back_from_a_replay_buffer(home: Path, tmp_path: Path) -> None:
-    from tests.realtouch.images_of_others import write_table
-
-    names, ids = ["zebra", "ant", "cat"], ["a.b", "c/d", "ü, e"]
-    lines = [
-        {"file": f"pictures/{number}.jpg", "label": names[number % 3], "round_id": ids[number % 3]}
-        for number in range(4)
-    ]
-    write_table(home, lines)
-    realtouch.import_touches(home, tmp_path / "there", realtouch.ImportSpec("folder", classes=names))
-    realtouch.export(tmp_path / "there", tmp_path / "buffer", "replay")
-    realtouch.import_touches(tmp_path / "buffer", tmp_path / "back", realtouch.ImportSpec("replay"))
-    there, back = (realtouch.load(tmp_path / name, "train") for name in ("there", "back"))
-    assert back.ids.tolist() == there.ids.tolist() == ids
-    assert back.label_names == there.label_names == tuple(names)
-    assert back.labels.tolist() == there.labels.tolist()
-
-
 @pytest.mark.parametrize("version", [2, 3])
 def test_lossless_arrays_are_read_as_zarr_reads_them(version: Any, tmp_path: Path) -> None:
     """Chunks along all axes, memory and byte orders, compressors, keys, and chunks that are not stored."""

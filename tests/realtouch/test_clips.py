@@ -12,10 +12,9 @@ import realtouch
 from realtouch.contact import CLOCK_TOLERANCE_S, contact_heights_m, contact_window
 from realtouch.touches.media import TouchClip
 from realtouch.video.avi import MAX_CLIP_FRAMES, Avi, write_avi
-from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import encode_image
 from tests.realtouch import factories
-from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.factories import RoundTruth
 
 FRAMES = np.stack([np.full((16, 24, 3), 20 * index, np.uint8) for index in range(10)])
 AVI = factories.encode_avi(FRAMES)
@@ -44,11 +43,6 @@ def test_frames_equal_the_encoded_ones(clip: TouchClip, truth: list[RoundTruth])
 def decode_with_ffmpeg(data: memoryview) -> np.ndarray:
     with av.open(io.BytesIO(data)) as container:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
-
-
-def test_times(clip: TouchClip, truth: list[RoundTruth]) -> None:
-    made = truth[0].touches[0]
-    np.testing.assert_allclose(clip.timestamps_s, made.time_s)
 
 
 def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTruth]) -> None:
@@ -164,46 +158,3 @@ def test_a_cut_avi_is_refused(keep: int) -> None:
 def test_hostile_counts_are_refused() -> None:
     with pytest.raises(ValueError, match="the limit is"):
         Avi(memoryview(write_avi([b"x"] * (MAX_CLIP_FRAMES + 1), 24, 16, 25.0)))
-
-
-@pytest.mark.parametrize(
-    ("kind", "problem"),
-    [
-        ("no index", "an AVI without 'idx1'; expected an index of MJPEG frames"),
-        ("avi", "an AVI without an MJPEG stream; expected one"),
-        ("matroska", "bytes that begin with 1a 45 df a3 .*; expected an AVI with MJPEG frames"),
-    ],
-)
-def test_clips_of_other_kinds_are_damage(kind, problem, truth, seq_rows, tmp_path):
-    def other(row: dict, _: int) -> None:
-        data = row["sensor_video"][0]["bytes"].replace(b"idx1", b"JUNK")
-        if kind != "no index":
-            data = factories.encode_avi(truth[0].touches[0].pixels, "mpeg4", kind)
-        row["sensor_video"][0]["bytes"] = data
-
-    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=other))
-    record = realtouch.load(tmp_path)[0]
-    assert record.sensor_video[1].frames().shape[1:] == (72, 96, 3)
-    for ask in (lambda: record.sensor_video[0], record.contact_frames):
-        with pytest.raises(IntegrityError, match=f"row 0, touch 0, field 'sensor_video': .*{problem}"):
-            ask()
-    assert [each.touch for each in realtouch.verify(tmp_path).findings] == [0]
-
-
-def _copy(row: dict) -> dict:
-    return {**row, "sensor_video": [dict(blob) for blob in row["sensor_video"]]}
-
-
-def test_an_index_with_an_entry_that_leads_nowhere(seq_rows: list[dict], tmp_path: Path) -> None:
-    def damage(row: dict, _: int) -> None:
-        data = bytearray(row["sensor_video"][0]["bytes"])
-        offset = data.rindex(b"idx1") + 8 + 16 * 6 + 8
-        data[offset : offset + 4] = b"\xff\xff\xff\x7f"
-        row["sensor_video"][0]["bytes"] = bytes(data)
-
-    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=damage))
-    record = realtouch.load(tmp_path)[0]
-    assert record.sensor_video[1][5].shape == (72, 96, 3)
-    with pytest.raises(IntegrityError, match="field 'sensor_video': an AVI whose index has frame 6 of"):
-        _ = record.sensor_video[0]
-    assert [(damage.row, damage.touch) for damage in realtouch.verify(tmp_path).findings] == [(0, 0)]

@@ -21,47 +21,14 @@ from realtouch.formats.zarr_export import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
-
-
-@pytest.fixture(params=["single", "seq"])
-def source(request: pytest.FixtureRequest) -> Path:
-    return request.getfixturevalue(f"{request.param}_folder")
-
-
-@pytest.fixture
-def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write a file for each round, so that there are several."""
-    monkeypatch.setattr("realtouch.convert.conversion._MAX_ROWS_PER_SHARD", 1)
-
-
-def touches_of(source: Path) -> list[dict[str, Any]]:
-    """Return image, pose and fields of each touch of the training set; of clips, at the end of contact."""
-    found = []
-    for record in realtouch.load(source, "train"):
-        for touch in record.touches if hasattr(record, "touches") else range(record.touch_count):
-            if isinstance(record, realtouch.TouchSingleRound):
-                image, pose, frame = record.sensor_image.encoded(touch), record.gel_pose_cell_frame, touch
-            else:
-                clip = record.sensor_video[touch]
-                frame = clip.contact_index("contact_end")
-                image, pose = clip.encoded(frame), clip.poses
-            found.append(
-                {
-                    "image": bytes(image),
-                    "pose": [*pose.position_m[frame], *pose.quaternion[frame]],
-                    "label": record.label,
-                    "round_id": record.id,
-                    "touch": touch,
-                }
-            )
-    return found
+from tests.realtouch.test_exchange import expected
 
 
 def test_t3_reads_fota(source: Path, tmp_path: Path, small_shards: None) -> None:
     """Read like ``t3.data_loader``: all tars in order, pairs of jpg and json, poses in mm."""
     realtouch.export(source, tmp_path, "fota")
     home = tmp_path / "fota" / "train"
-    wanted = touches_of(source)
+    wanted = expected(source)
     assert int((home / "count.txt").read_text().splitlines()[0]) == len(wanted)
     tars = sorted(path.name for path in home.iterdir() if path.name.startswith("data-"))
     assert tars == [f"data-{number:06d}.tar" for number in range(3)], "numbered without gaps"
@@ -76,15 +43,17 @@ def test_t3_reads_fota(source: Path, tmp_path: Path, small_shards: None) -> None
         assert sample["jpg"] == touch["image"]
         assert (fields["label"], fields["label_name"]) == (touch["label"], str(touch["label"]))
         x_mm, y_mm, z_mm = (fields[f"{axis}_mm"] for axis in "xyz")
-        np.testing.assert_allclose([x_mm, y_mm, z_mm], 1e3 * np.array(touch["pose"][:3]), rtol=1e-12)
-        assert [fields[f"quat_{axis}"] for axis in "xyzw"] == touch["pose"][3:]
+        np.testing.assert_allclose(
+            [x_mm, y_mm, z_mm], 1e3 * np.array([touch[f"gel_{axis}_m"] for axis in "xyz"]), rtol=1e-12
+        )
+        assert [fields[f"quat_{axis}"] for axis in "xyzw"] == [touch[f"gel_q{axis}"] for axis in "xyzw"]
 
 
 def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: None) -> None:
     """Read like ``data.downstream_dataset.TAGDataset_video``: a line per image, earlier frames by number."""
     realtouch.export(source, tmp_path, "anytouch")
     home = tmp_path / "anytouch"
-    wanted = touches_of(source)
+    wanted = expected(source)
     lines = (home / "train_bg.txt").read_text().splitlines()
     assert len(lines) == len(wanted)
     for line, touch in zip(lines, wanted, strict=True):
@@ -143,32 +112,20 @@ def test_diffusion_policy_reads_the_replay_buffer(source, tmp_path, small_shards
         data = {name: zarr_array(group, f"data/{name}") for name in names}
         ends = zarr_array(group, "meta/episode_ends")
     assert {len(values) for values in data.values()} == {ends[-1]}
-    wanted: list[dict[str, Any]] = []
-    lengths = []
-    for record in realtouch.load(source, "train"):
-        if isinstance(record, realtouch.TouchSingleRound):
-            pose = record.gel_pose_cell_frame
-            wanted += [
-                {
-                    "tactile": record.sensor_image[touch],
-                    "state": [*pose.position_m[touch], *pose.quaternion[touch]],
-                }
-                for touch in range(record.touch_count)
-            ]
-            lengths.append(record.touch_count)
-            continue
-        for clip in record.sensor_video:
-            pose = clip.poses
-            lengths.append(len(clip))
-            wanted += [
-                {"tactile": clip[frame], "state": [*pose.position_m[frame], *pose.quaternion[frame]]}
-                for frame in range(len(clip))
-            ]
+    frames, poses, lengths = [], [], []
+    for touch in realtouch.load(source, "train").touches():
+        is_clip = isinstance(touch.round, realtouch.TouchSeqRound)
+        frames += [*touch.clip.frames()] if is_clip else [touch.image]
+        poses += [*touch.clip.poses] if is_clip else [touch.gel_pose]
+        lengths.append(len(touch.clip) if is_clip else 1)
+    if not is_clip:  # an episode for each round
+        lengths = realtouch.load(source, "train").touch_counts.tolist()
     assert np.diff(ends, prepend=0).tolist() == lengths
-    for number in range(0, len(wanted), 7):
-        assert np.array_equal(data["tactile"][number], wanted[number]["tactile"])
-        np.testing.assert_array_equal(data["state"][number], np.float32(wanted[number]["state"]))
-    assert data["action"].shape == (len(wanted), 2)
+    for number in range(0, len(frames), 7):
+        assert np.array_equal(data["tactile"][number], frames[number])
+        state = [*poses[number].translation, *poses[number].quaternion]
+        np.testing.assert_array_equal(data["state"][number], np.float32(state))
+    assert data["action"].shape == (len(frames), 2)
     assert realtouch.verify(tmp_path).ok
     with pytest.raises(InputError, match="a replay buffer holds one; next: add --split"):
         realtouch.export(source, tmp_path / "both", "replay")

@@ -65,12 +65,41 @@ def no_label(row: dict[str, Any]) -> None:
     row["label"] = None
 
 
+def no_position(row: dict[str, Any]) -> None:
+    row["pos_in_cell"] = [*row["pos_in_cell"][:3], [None, 0.0], row["pos_in_cell"][4]]
+
+
 def cut_avi(row: dict[str, Any]) -> None:
     row["sensor_video"][2]["bytes"] = row["sensor_video"][2]["bytes"][:-700]
 
 
 def no_avi(row: dict[str, Any]) -> None:
     row["sensor_video"][0]["bytes"] = b"RIFF no film"
+
+
+def play_list(row: dict[str, Any]) -> None:
+    """Video players would open a file of the user, and return its content."""
+    row["sensor_video"][2]["bytes"] = b"#EXTM3U\n#EXTINF:9,\nsecret.avi\n#EXT-X-ENDLIST\n"
+
+
+def no_index(row: dict[str, Any]) -> None:
+    row["sensor_video"][0]["bytes"] = row["sensor_video"][0]["bytes"].replace(b"idx1", b"JUNK")
+
+
+def wild_index(row: dict[str, Any]) -> None:
+    data = bytearray(row["sensor_video"][0]["bytes"])
+    offset = data.rindex(b"idx1") + 8 + 16 * 6 + 8
+    data[offset : offset + 4] = b"\xff\xff\xff\x7f"
+    row["sensor_video"][0]["bytes"] = bytes(data)
+
+
+def other_codec(row: dict[str, Any]) -> None:
+    row["sensor_video"][0]["bytes"] = factories.encode_avi(np.zeros((9, 72, 96, 3), np.uint8), "mpeg4")
+
+
+def other_container(row: dict[str, Any]) -> None:
+    frames = np.zeros((9, 72, 96, 3), np.uint8)
+    row["sensor_video"][0]["bytes"] = factories.encode_avi(frames, "mpeg4", "matroska")
 
 
 def bad_frame(row: dict[str, Any]) -> None:
@@ -144,10 +173,16 @@ CASES: list[tuple[str, Edit, int | None, str, str]] = [
     ("single", endless_position, 0, "gel_pose_cell_frame", "not finite"),
     ("single", one_image_less, None, "sensor_image", "4 touches; expected 5"),
     ("single", one_touch_less, None, "pos_in_cell", "4 touches; expected 5"),
+    ("single", no_position, 3, "pos_in_cell", "expected metres"),
     ("single", wild_object, None, "object_id", "-7; expected an integer of 0 or more"),
     ("single", no_label, None, "label", "no value is stored; expected an integer"),
     ("seq", cut_avi, 2, "sensor_video", "an AVI cut short"),
     ("seq", no_avi, 0, "sensor_video", "expected an AVI"),
+    ("seq", play_list, 2, "sensor_video", "expected an AVI"),
+    ("seq", no_index, 0, "sensor_video", "an AVI without 'idx1'; expected an index of MJPEG frames"),
+    ("seq", wild_index, 0, "sensor_video", "an AVI whose index has frame 6 of"),
+    ("seq", other_codec, 0, "sensor_video", "an AVI without an MJPEG stream; expected one"),
+    ("seq", other_container, 0, "sensor_video", "bytes that begin with 1a 45 df a3"),
     ("seq", bad_frame, 1, "sensor_video", "frame 6"),
     (
         "seq",

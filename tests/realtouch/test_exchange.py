@@ -16,8 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert import conversion
-from realtouch.formats import exports, lerobot_export
+from realtouch.formats import exports
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -31,18 +30,6 @@ FIELDS = (
     *("pos_in_cell_x_m", "pos_in_cell_y_m", "gel_x_m", "gel_y_m", "gel_z_m"),
     *("gel_qx", "gel_qy", "gel_qz", "gel_qw"),
 )
-
-
-@pytest.fixture(params=["single", "seq"])
-def source(request: pytest.FixtureRequest) -> Path:
-    return request.getfixturevalue(f"{request.param}_folder")
-
-
-@pytest.fixture
-def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write a file for each round, so that there are several."""
-    monkeypatch.setattr(conversion, "_MAX_ROWS_PER_SHARD", 1)
-    monkeypatch.setattr(lerobot_export, "_FILE_BYTES", 1 << 10)
 
 
 def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:

@@ -15,24 +15,23 @@ from tests.command_line import call
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
 
-@pytest.mark.parametrize("layout", ["folder", "webdataset"])
-def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("layout", ["png", "webdataset", "replay"])
+def test_names_of_our_own_exports_stay(layout: Any, home: Path, tmp_path: Path) -> None:
     """Also for a data set without poses and positions."""
-    names = ["zebra", "ant", "cat"]
-    write_table(
-        home, [line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7"} for number in range(4)]
-    )
+    names, ids = ["zebra", "ant", "cat"], ["a.b", "c/d", "ü, e"]
+    lines = [
+        line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7", "round_id": ids[number % 3]}
+        for number in range(4)
+    ]
+    write_table(home, lines)
     realtouch.import_touches(home, tmp_path / "named", realtouch.ImportSpec("folder", classes=names))
-    there = tmp_path / "there" / ("webdataset" if layout == "webdataset" else "")
-    if layout == "webdataset":
-        realtouch.export(tmp_path / "named", tmp_path / "there", layout)
-    else:
-        realtouch.frames(tmp_path / "named", there)
-    assert not realtouch.import_touches(
-        there, tmp_path / "back", realtouch.ImportSpec(layout)
-    ).skipped_reasons()
-    back = realtouch.load(tmp_path / "back", "train")
-    assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
+    exported = ("export", tmp_path / "named", "--split", "train", "--format", layout)
+    assert call("tactile", *exported, "--out", tmp_path / "there") == 0
+    assert not realtouch.import_touches(tmp_path / "there", tmp_path / "back").skipped_reasons()
+    there, back = (realtouch.load(tmp_path / name, "train") for name in ("named", "back"))
+    assert list(back.label_names) == names
+    assert back.ids.tolist() == there.ids.tolist() == ids
+    assert back.labels.tolist() == there.labels.tolist()
 
 
 @pytest.mark.parametrize(

@@ -122,19 +122,6 @@ def test_an_index_that_names_other_bytes_than_the_stream_is_named() -> None:
         Avi(data).frame(1)
 
 
-def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None:
-    data = seq_rows[1]["sensor_video"][1]["bytes"].replace(b"MJPG", b"XQZW")
-    frames = int(seq_rows[1]["video_length_frames"][1])
-    factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", Layout(edit=one_clip(data, frames)))
-    record = realtouch.load(tmp_path)[1]
-    for ask in (lambda: record.sensor_video[1], record.contact_frames):
-        with pytest.raises(
-            IntegrityError, match=r"touch 1, field 'sensor_video': an AVI without an MJPEG stream"
-        ):
-            ask()
-    assert [(damage.row, damage.touch) for damage in realtouch.verify(tmp_path).findings] == [(1, 1)]
-
-
 WRONG = {
     "float32": np.zeros((2, 72, 96, 3), np.float32),
     "int64": np.zeros((2, 72, 96, 3), np.int64),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,10 +15,6 @@ from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
 
-def no_position(row: dict[str, Any]) -> None:
-    row["pos_in_cell"] = [*row["pos_in_cell"][:3], [None, 0.0], row["pos_in_cell"][4]]
-
-
 def no_start(row: dict[str, Any]) -> None:
     row["touch_start_time_rel"] = [*row["touch_start_time_rel"][:3], None, row["touch_start_time_rel"][4]]
 
@@ -27,21 +22,6 @@ def no_start(row: dict[str, Any]) -> None:
 def damaged(folder: Path, rows: list[dict], kind: str, edit: Any) -> Path:
     layout = Layout(edit=lambda row, index: edit(row) if index == 1 else None)
     return factories.write_set(folder, {"train": rows}, kind, layout)
-
-
-def test_missing_positions(single_rows: list[dict], tmp_path: Path) -> None:
-    dataset = realtouch.load(damaged(tmp_path, single_rows, "single", no_position))
-    touches = dataset.touches()
-    named = r"row 1, touch 3, field 'pos_in_cell': a position \[nan  ?0\.\]; expected metres"
-    for ask in (
-        lambda: dataset[1].pos_in_cell_m,
-        lambda: dataset[1].pos_in_cell,
-        lambda: touches[8].pos_in_cell_m,
-    ):
-        with pytest.raises(IntegrityError, match=named):
-            ask()
-    for index in (5, 6, 7, 9):  # other touches are not affected
-        np.testing.assert_array_equal(touches[index].pos_in_cell_m, single_rows[1]["pos_in_cell"][index - 5])
 
 
 @pytest.mark.parametrize("seconds", [False, True])

@@ -20,11 +20,6 @@ from tests.realtouch import factories
 from tests.realtouch.factories import RoundTruth
 
 
-@pytest.fixture(params=["seq", "single"])
-def source(request: pytest.FixtureRequest, seq_folder: Path, single_folder: Path) -> Path:
-    return seq_folder if request.param == "seq" else single_folder
-
-
 def plates_m(truth: list[RoundTruth], kind: str) -> np.ndarray:
     """Return the height of the gel in the touch of each round that misses the digit."""
     touches = [each.touches[2] for each in truth]

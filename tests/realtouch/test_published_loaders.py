@@ -82,19 +82,31 @@ def assert_same_frames(clip: realtouch.TouchClip, decoder: Any) -> None:
     assert np.abs(clip.frames().astype(int) - theirs).mean() < 1.0
 
 
-def test_single(published: Any, single_folder: Path) -> None:
-    theirs = published.TouchSingleDataset(hub_dataset(single_folder))
-    ours = realtouch.load(single_folder, "train")
+@pytest.mark.parametrize("converted", [False, True])
+def test_single(
+    converted: bool, published: Any, single_folder: Path, seq_folder: Path, tmp_path: Path
+) -> None:
+    folder = single_folder
+    if converted:
+        folder = tmp_path / "single"
+        realtouch.clips_to_images(seq_folder, folder, "peak")
+    theirs = published.TouchSingleDataset(hub_dataset(folder))
+    ours = realtouch.load(folder, "train")
     assert ours.label_names == theirs.label_names
     assert len(ours) == len(theirs) == 3
     for row in range(len(ours)):
         assert_same_single(ours[row], theirs[row])
 
 
-def test_seq(published: Any, seq_folder: Path) -> None:
-    theirs = published.TouchSeqDataset(hub_dataset(seq_folder))
-    ours = realtouch.load(seq_folder, "train")
-    assert len(ours) == len(theirs) == 3
+@pytest.mark.parametrize("selected", [False, True])
+def test_seq(selected, published, seq_folder, tmp_path):
+    folder = seq_folder
+    if selected:
+        folder = tmp_path / "some"
+        realtouch.select(seq_folder, folder, contact=True, limit=1)
+    theirs = published.TouchSeqDataset(hub_dataset(folder))
+    ours = realtouch.load(folder, "train")
+    assert len(ours) == len(theirs) == (1 if selected else 3)
     for row in range(len(ours)):
         assert_same_seq(ours[row], theirs[row])
 
@@ -104,23 +116,3 @@ def test_torchcodec_reads_a_clip(published: Any, seq_folder: Path) -> None:
     decoder = clip.to_torchcodec()
     assert len(decoder) == len(clip)
     assert decoder.metadata.average_fps == pytest.approx(clip.fps)
-
-
-def test_contact_frames_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "single"
-    realtouch.clips_to_images(str(seq_folder), str(out), "peak")
-    theirs = published.TouchSingleDataset(hub_dataset(out))
-    ours = realtouch.load(out, "train")
-    for row in range(len(ours)):
-        assert_same_single(ours[row], theirs[row])
-    assert theirs.huggingface_dataset.features["pos_in_cell"].length == 5
-
-
-def test_selected_clips_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "some"
-    realtouch.select(str(seq_folder), str(out), contact=True, limit=1)
-    theirs = published.TouchSeqDataset(hub_dataset(out))
-    ours = realtouch.load(out, "train")
-    assert len(ours) == len(theirs) == 1
-    assert ours[0].touch_count == 4
-    assert_same_seq(ours[0], theirs[0])

@@ -129,10 +129,6 @@ IMPORTED: dict[str, tuple[str, dict[str, Any], int, list[str]]] = {
     "D11 SQLite": ("D11/db3bag", {}, 8, []),
     "D12": ("D12/035_power_drill/dataset_0", {}, 6, ["synced_data.npy (a file of NumPy)"]),
 }
-NAMED = {
-    "D24/npz": r"'episode_000.npz' is a file of NumPy, with the arrays tactile_left uint8 \(8, 3, 120, 160\)",
-    "D11/ros1": "run.bag' has no topics of pictures, but what follows a record that is damaged",
-}
 
 
 @pytest.mark.parametrize("name", IMPORTED)
@@ -153,9 +149,3 @@ def test_recordings_are_imported(name: str, tmp_path: Path) -> None:
     if name == "D22":
         assert [touch.extra["force_n"] for touch in touches] == [4 * number for number in range(10)]
         assert rounds[0].row.has_poses
-
-
-@pytest.mark.parametrize("path", NAMED)
-def test_recordings_that_are_not_read_are_named(path: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=NAMED[path]):
-        realtouch.import_touches(RECORDINGS / path, tmp_path / "out")

@@ -19,6 +19,8 @@ from tests.realtouch.factories import RoundTruth
 torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
 pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
 
+from realtouch.touch_tensors import TouchTensors  # noqa: E402
+
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore")]
 
 
@@ -29,15 +31,11 @@ def squared(touch: realtouch.Touch) -> int:
 
 @pytest.fixture
 def images(single_folder: Path) -> Any:
-    from realtouch.touch_tensors import TouchTensors
-
     return TouchTensors(realtouch.load(single_folder, "train"))
 
 
 def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path) -> None:
     from torchvision.tv_tensors import Image, Video
-
-    from realtouch.touch_tensors import TouchTensors
 
     touches = realtouch.load(single_folder, "train").touches()
     image, label = images[7]
@@ -60,8 +58,6 @@ def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path
 
 
 def test_targets(single_folder: Path) -> None:
-    from realtouch.touch_tensors import TouchTensors
-
     dataset = realtouch.load(single_folder, "train")
     touch = dataset.touches()[6]
     assert TouchTensors(dataset, target="round_id")[6][1] == touch.round_id
@@ -78,8 +74,6 @@ def test_targets(single_folder: Path) -> None:
 
 @pytest.mark.parametrize("method", ["contact_start", "peak", "best", "contact_end"])
 def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
-    from realtouch.touch_tensors import TouchTensors
-
     touches = realtouch.load(seq_folder, "train").touches().with_contact()
     data = TouchTensors(touches, target="gel_position", frames=method)
     clip = touches[4].clip
@@ -94,8 +88,6 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
 def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], tmp_path: Path) -> None:
     from torchvision.transforms import v2
 
-    from realtouch.touch_tensors import TouchTensors
-
     rows = factories.single_rows([truth[0], factories.make_round(8, 5, (64, 48))])
     data = TouchTensors(
         realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single")), v2.Resize((24, 32))
@@ -107,8 +99,6 @@ def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], 
 
 
 def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> None:
-    from realtouch.touch_tensors import TouchTensors
-
     rows = factories.single_rows(truth)
     rows[1]["sensor_image"][2]["bytes"] = b"no picture"
     data = TouchTensors(realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single")))
@@ -118,8 +108,6 @@ def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> 
 
 @pytest.mark.parametrize("target", [None, "label", "round_id", "pos_in_cell", "gel_position", squared])
 def test_a_batch_made_at_once_is_that_of_its_items(single_folder: Path, target: Any) -> None:
-    from realtouch.touch_tensors import TouchTensors
-
     data = TouchTensors(realtouch.load(single_folder, "train"), target=target)
     order = [14, 3, 3, 0]
     given = data.collated(order)
@@ -140,8 +128,6 @@ def test_a_batch_made_at_once_is_that_of_its_items(single_folder: Path, target: 
 
 def test_transforms_apply(single_folder: Path) -> None:
     from torchvision.transforms import v2
-
-    from realtouch.touch_tensors import TouchTensors
 
     pipeline = v2.Compose([v2.Resize((32, 32)), v2.ToDtype(torch.float32, scale=True)])
     data = TouchTensors(realtouch.load(single_folder, "train"), pipeline)
@@ -166,8 +152,6 @@ def test_workers_that_are_forked_or_are_spawned(images: Any) -> None:
 
 
 def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> None:
-    from realtouch.touch_tensors import TouchTensors
-
     data = TouchTensors(realtouch.load(single_folder, "train", streaming=True), target=identity)
     touches = realtouch.load(single_folder, "train").touches()
     assert [where for _, where in (data[index] for index in range(len(data)))] == [

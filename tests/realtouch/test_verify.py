@@ -198,31 +198,6 @@ def test_text_that_is_no_unicode(single_rows: list[dict], tmp_path: Path) -> Non
     assert "id=unreadable" in repr(dataset[1])
 
 
-REFERENCES = {
-    "play list": b"ffconcat version 1.0\nfile secret.avi\n",
-    "HLS": b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nsecret.avi\n#EXT-X-ENDLIST\n",
-    "SDP": b"v=0\no=- 0 0 IN IP4 127.0.0.1\ns=-\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 50404 RTP/AVP 26\n",
-}
-
-
-@pytest.mark.parametrize("name", REFERENCES)
-def test_a_clip_that_refers_to_something_else_is_damaged(name, truth, seq_rows, tmp_path, monkeypatch):
-    """Video players would open files of the user, or a socket, and return their content."""
-
-    def refer(row: dict[str, Any]) -> None:
-        row["sensor_video"][2]["bytes"] = REFERENCES[name]
-
-    (tmp_path / "secret.avi").write_bytes(factories.encode_avi(truth[1].touches[2].pixels))
-    monkeypatch.chdir(tmp_path)
-    folder = damaged_set(tmp_path / "set", seq_rows[:3], "seq", refer)
-    with pytest.raises(IntegrityError, match=r"row 1, touch 2.*expected an AVI"):
-        realtouch.load(folder)[1].sensor_video[2]
-    for quick in (True, False):
-        assert found_in(folder, quick=quick) == [(1, 2, "sensor_video")]
-    manifest = realtouch.clips_to_images(folder, tmp_path / "single")
-    assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
-
-
 def test_finished_shards_of_an_unfinished_set_are_checked(home, tmp_path, capsys):
     splits = [{**line(f"pictures/{number}.jpg"), "split": f"s{number % 2}"} for number in range(4)]
     write_table(home, splits)
