@@ -20,7 +20,7 @@ from tactile_toolkit.wording import bytes_text, with_count
 _list_folder = lazy("tactile_toolkit.sets:list_folder")
 _stored_row = lazy("tactile_toolkit.sets:stored_row")
 _count_splits = lazy("tactile_toolkit.sets:count_splits")
-_check_card = lazy("tactile_toolkit.cards:check_card")
+_verify = lazy("tactile_toolkit.cards:verify")
 _verify_touches = lazy("realtouch:verify")
 _check_touches = lazy("realtouch:check")
 _summarise_splits = lazy("realtouch.touches.loading:summarise_splits")
@@ -261,9 +261,7 @@ def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, wor
             next="download it with --out, which checks every file",
         )
     manifest = place.manifest
-    result = store.verify(
-        folder, kind.schema_of(manifest), check_card=_check_card, workers=options.process_count(workers)
-    )
+    result = _verify(folder, kind.schema_of(manifest), options.process_count(workers))
     problems = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     document = {
         "ok": result.ok,

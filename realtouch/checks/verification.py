@@ -185,7 +185,7 @@ def _compare_files(data_set: places.Place, findings: list[damage.Damage], worker
     folder, manifest = data_set.folder, data_set.manifest
     if folder is None or (manifest is None and data_set.download is None):
         return False
-    listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
+    listed = cards.verify(folder, workers=workers).findings
     findings += [damage.Damage(finding.file, None, None, "", finding.problem) for finding in listed]
     if manifest is not None:
         try:
@@ -224,9 +224,7 @@ def _check_rounds(
 def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
     """List the problems of a folder before it is uploaded; decodes no picture."""
     damaged = verify(folder.address(), quick=True, workers=workers).findings
-    return [store.Finding(finding.file, f"({finding})") for finding in damaged] or list(
-        cards.check_card(folder)
-    )
+    return [store.Finding(finding.file, f"({finding})") for finding in damaged]
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:

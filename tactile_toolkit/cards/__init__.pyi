@@ -15,8 +15,8 @@ from .licences import (
     SOURCE_NAMES as SOURCE_NAMES,
 )
 from .yaml_head import (
-    check_card as check_card,
     FolderSummary as FolderSummary,
+    verify as verify,
 )
 from .owner import (
     OwnerWords as OwnerWords,

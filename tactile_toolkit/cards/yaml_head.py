@@ -11,7 +11,7 @@ import fnmatch
 import reprlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import PurePosixPath
 
@@ -245,6 +245,15 @@ def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -
     if changed == head and not note:
         return card
     return head_text(changed) + note + body
+
+
+def verify(folder: store.DataFolder, schema: pa.Schema | None = None, workers: int = 1) -> store.Verification:
+    """Check a folder as :func:`tactile_toolkit.store.verify` does, and its card by :func:`check_card`."""
+    result = store.verify(folder, schema, workers)
+    # A damaged set is not compared with its card, and a data set of others has no card of ours.
+    if result.ok and result.reference == store.MANIFEST_FILE:
+        return replace(result, findings=tuple(check_card(folder)))
+    return result
 
 
 def check_card(folder: store.DataFolder) -> list[store.Finding]:

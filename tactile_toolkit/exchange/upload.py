@@ -305,7 +305,7 @@ def check_folder(
     schema = None
     if kind is not None:
         schema = kind.schema_of(folder_place(folder).require_manifest(kind))
-    return store.verify(folder, schema, check_card=cards.check_card, workers=workers).findings
+    return cards.verify(folder, schema, workers).findings
 
 
 def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:

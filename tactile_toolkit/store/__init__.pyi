@@ -17,6 +17,7 @@ from .folder import (
 )
 from .verification import (
     read_download_record as read_download_record,
+    Verification as Verification,
     verify as verify,
 )
 from .files import (

@@ -7,7 +7,7 @@ import hashlib
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -61,8 +61,6 @@ class Verification:
 def verify(
     folder: DataFolder,
     schema: pa.Schema | None = None,
-    *,
-    check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
     workers: int = 1,
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
@@ -76,8 +74,6 @@ def verify(
         Folder of a finished data set.
     schema : pyarrow.Schema, optional
         Schema that every shard must have; not required of data sets of others.
-    check_card : callable, optional
-        Compares the data card with the data, such as :func:`tactile_toolkit.cards.check_card`.
     workers : int
         Number of threads that read and hash; the findings do not depend on it.
 
@@ -111,9 +107,6 @@ def verify(
     findings += [finding for result in checked.values() for finding in result.findings]
     # Data sets of others may have the same ids in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
-    # A damaged set is not compared with its card, and a data set of others has no card of ours.
-    if check_card is not None and manifest is not None and not findings:
-        findings += check_card(folder)
     rows = sum(result.rows for path, result in checked.items() if path in (shards or files))
     size = sum(file.size_bytes for file in files.values())
     return Verification(len(files), rows, size, tuple(findings), reference)

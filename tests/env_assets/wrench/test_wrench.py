@@ -10,9 +10,10 @@ import env_assets
 import mnist3d
 from env_assets import WrenchSpec, top_surface, wrench_mesh, write_wrench
 from env_assets.wrench.dataset import wrench_schema
-from tactile_toolkit.cards import check_card
+from tactile_toolkit import cards
+from tactile_toolkit.cards.yaml_head import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.store import open_folder, verify
+from tactile_toolkit.store import open_folder
 
 
 def middles_mm(spec: WrenchSpec) -> tuple[tuple[float, float, float], ...]:
@@ -151,7 +152,7 @@ def test_a_written_wrench_is_whole_and_loads_everywhere(tmp_path):
     write_wrench(spec, str(tmp_path / "wrench"))
     mnist3d.write_mesh(tmp_path / "wrench.stl", wrench_mesh(spec))
     folder = open_folder(str(tmp_path / "wrench"))
-    assert verify(folder, wrench_schema(), check_card=check_card).ok
+    assert cards.verify(folder, wrench_schema()).ok
     assert check_card(folder) == []
     provider = env_assets.AssetProvider(tmp_path)
     (record,) = provider.meshes("wrench")

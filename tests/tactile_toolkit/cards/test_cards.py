@@ -17,9 +17,10 @@ from hypothesis import given, strategies as st
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards import FolderSummary, check_card
+from tactile_toolkit import cards
+from tactile_toolkit.cards import FolderSummary
 from tactile_toolkit.cards.card import column_type_text, with_repo_name
-from tactile_toolkit.cards.yaml_head import size_category, with_head
+from tactile_toolkit.cards.yaml_head import check_card, size_category, with_head
 from tactile_toolkit.read.schemas import yaml_features
 from tactile_toolkit.store import open_folder, verify
 
@@ -68,7 +69,7 @@ def test_the_hubs_own_classes_read_the_card(digits_set):
 
 def test_a_true_card_has_no_findings(digits_set):
     assert problems(digits_set) == []
-    assert verify(open_folder(str(digits_set)), check_card=check_card).ok
+    assert cards.verify(open_folder(str(digits_set))).ok
 
 
 def _drop_split(head: dict) -> None:
@@ -121,7 +122,7 @@ def test_a_lie_in_the_head_is_named(folder, lie, words):
     edit_head(folder, lie)
     (found,) = [problem for problem in problems(folder) if words in problem]
     assert found.startswith("README.md: ")
-    assert not verify(open_folder(str(folder)), check_card=check_card).ok
+    assert not cards.verify(open_folder(str(folder))).ok
     assert verify(open_folder(str(folder))).ok, "the rows are fine"
 
 

@@ -12,9 +12,10 @@ import yaml
 import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards import check_card
+from tactile_toolkit import cards
+from tactile_toolkit.cards.yaml_head import check_card
 from tactile_toolkit.exchange import Upload, UploadOptions
-from tactile_toolkit.store import open_folder, verify
+from tactile_toolkit.store import open_folder
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
@@ -108,13 +109,13 @@ def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_p
         (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "copy" / path).write_bytes(content)
     copy = open_folder(str(tmp_path / "copy"))
-    assert verify(copy, check_card=check_card).findings == ()
+    assert cards.verify(copy).findings == ()
     assert mnist3d.load(str(tmp_path / "copy"), split="test").ids.tolist()
     (tmp_path / "copy" / "viewer" / "test-00000-of-00001.parquet").unlink()
-    assert verify(copy, check_card=check_card).ok, "rows are whole without it"
+    assert cards.verify(copy).ok, "rows are whole without it"
     shown = tmp_path / "copy" / "viewer" / "holdout-00000-of-00001.parquet"
     shown.write_bytes(shown.read_bytes()[:-1])
-    (finding,) = verify(copy, check_card=check_card).findings
+    (finding,) = cards.verify(copy).findings
     assert finding.file == "viewer/holdout-00000-of-00001.parquet"
     text = (tmp_path / "copy" / "README.md").read_text()
     (tmp_path / "copy" / "README.md").write_text(text.replace("viewer/test-*", "viewer/*"))
@@ -137,7 +138,7 @@ def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     out = tmp_path / "whole"
     done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(open_folder(str(out)), check_card=check_card).findings == ()
+    assert cards.verify(open_folder(str(out))).findings == ()
     whole = folder_bytes(out)
     del whole[".download.json"]
     expected = folder_bytes(made)
@@ -146,7 +147,7 @@ def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     part = tmp_path / "part"
     done = run_here(DOWNLOAD.format(splits=("test",), out=str(part)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(open_folder(str(part)), check_card=check_card).findings == ()
+    assert cards.verify(open_folder(str(part))).findings == ()
     assert "viewer" not in (part / "README.md").read_text().split("---\n")[1]
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.cards import FolderSummary, check_card
-from tactile_toolkit.cards.yaml_head import card_head, configs, head_text
+from tactile_toolkit.cards import FolderSummary
+from tactile_toolkit.cards.yaml_head import card_head, check_card, configs, head_text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places.split_files import parquet_paths
 from tactile_toolkit.store import Manifest, ShardName, Skipped, build, decode, open_folder
