@@ -17,7 +17,7 @@ from mnist3d.solid import algorithm, picture_ink
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store, touch
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import solid_check
+from tactile_toolkit.mesh import printability, solid_check
 from tactile_toolkit.value_types import Bool, UInt8
 
 _VIEW_PX = (760, 560)
@@ -210,7 +210,7 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
     )
     part = algorithm.solid_of_ink(sized, spec.base_mm).on_plate()
     verdict = solid_check.require_solid(part)
-    report = mesh.inspect(part, spec.profile, verdict)
+    report = printability.report_of_solid(part, verdict, spec.profile)
     notes = sized.notes
     if spec.base_mm is not None:
         width, depth = (side - 2 * mesh.BASE_MARGIN_MM for side in report.size_mm[:2])

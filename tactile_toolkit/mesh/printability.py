@@ -200,9 +200,7 @@ class PrintReport(TypedRow):
         )
 
 
-def inspect(
-    mesh: MeshLike, profile: PrintProfile | None = None, check: ManifoldCheck | None = None
-) -> PrintReport:
+def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     """Check whether a mesh bounds a solid, and measure it for printing.
 
     A mesh that is not a solid gives a report, not an exception.
@@ -213,8 +211,6 @@ def inspect(
         In metres, z pointing away from the plate.
     profile : PrintProfile, optional
         Printer and material.
-    check : ManifoldCheck, optional
-        Result of :func:`check_manifold`, if it is known.
 
     Returns
     -------
@@ -226,15 +222,15 @@ def inspect(
         The mesh has no triangles.
     """
     mesh = Mesh.of(mesh)
-    profile = profile or PrintProfile()
-    check = check or check_manifold(mesh)
+    check = check_manifold(mesh)
     if check.problem is not None:
         counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
         return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
-    return _report_of_solid(mesh, check, profile)
+    return report_of_solid(mesh, check, profile or PrintProfile())
 
 
-def _report_of_solid(mesh: Mesh, check: ManifoldCheck, profile: PrintProfile) -> PrintReport:
+def report_of_solid(mesh: Mesh, check: ManifoldCheck, profile: PrintProfile) -> PrintReport:
+    """Measure a solid for printing, with the result of :func:`check_manifold` for it."""
     # numba takes half a second to import.
     from tactile_toolkit.mesh.walls import leaning_out, thinnest_wall_mm
 
