@@ -53,6 +53,7 @@ def test_an_export_comes_back(layout: str, kind: str, request: pytest.FixtureReq
         else:
             assert contents(new) <= contents(old)
             np.testing.assert_array_equal(new.image, old.image)
+        assert [*new.extra] == ["time_s"] * (layout == "lerobot" and kind == "single")
         if layout == "anytouch":  # images and classes alone
             continue
         assert new.object_id == old.object_id

@@ -1,4 +1,4 @@
-"""Conversions that are killed at any moment, and continue to the same bytes."""
+"""Pictures of a conversion that is killed at any moment: it continues to the same bytes."""
 
 from __future__ import annotations
 
@@ -15,21 +15,9 @@ import realtouch
 from tests.forked import run_forked, start_forked
 from tests.tactile_toolkit.toy import folder_bytes
 
-CONVERSIONS: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "to-single": ("clips_to_images", "seq", {"frame": "peak"}),
-    "resize": ("resize", "seq", {"width": 48, "height": 36}),
-    "frames": ("frames", "single", {"kind": "png"}),
-    "select": ("select", "single", {"contact": True}),
-}
 
-
-def convert(name: str, source: Path, out: Path, **more: Any) -> None:
-    call, _, options = CONVERSIONS[name]
-    getattr(realtouch, call)(str(source), str(out), **options, **more)
-
-
-def _die(call: str, source: str, out: str, options: dict[str, Any], moment: int) -> None:
-    """Convert, and end as by ``kill -9``, without closing, flushing or cleaning up.
+def _die(source: str, out: str, moment: int) -> None:
+    """Write pictures, and end as by ``kill -9``, without closing, flushing or cleaning up.
 
     The interpreter informs an audit hook of every file that is opened, renamed or removed, just before it
     happens.
@@ -48,62 +36,31 @@ def _die(call: str, source: str, out: str, options: dict[str, Any], moment: int)
 
     warnings.simplefilter("error")
     sys.addaudithook(watch)
-    getattr(realtouch, call)(source, out, **options)
+    realtouch.frames(source, out)
 
 
-def killed(name: str, source: Path, out: Path, moment: int) -> bool:
-    """Run a conversion that dies when it touches the folder the ``moment``-th time; False if it ended."""
-    call, _, options = CONVERSIONS[name]
-    process = start_forked(_die, call, str(source), str(out), options, moment)
+def killed(source: Path, out: Path, moment: int) -> bool:
+    """Write pictures until the folder is touched for the ``moment``-th time; False if that never happens."""
+    process = start_forked(_die, str(source), str(out), moment)
     code = process.end()
     assert code in (0, -signal.SIGKILL), process.err
     return code != 0
 
 
-def temporaries(folder: Path) -> list[Path]:
-    return list(folder.glob(".pending/tmp-*"))
-
-
-@pytest.fixture(scope="module")
-def undisturbed(
-    seq_folder: Path, single_folder: Path, tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, dict[str, bytes]]:
-    folder = tmp_path_factory.mktemp("undisturbed")
-    for name, (_, kind, _) in CONVERSIONS.items():
-        convert(name, seq_folder if kind == "seq" else single_folder, folder / name)
-    return {name: folder_bytes(folder / name) for name in CONVERSIONS}
-
-
 @pytest.mark.thorough
-@pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("name", CONVERSIONS)
-def test_killed_again_and_again_it_ends_with_the_same_bytes(
-    name: str, undisturbed: dict[str, dict[str, bytes]], seq_folder: Path, single_folder: Path, tmp_path: Path
-) -> None:
-    source = seq_folder if CONVERSIONS[name][1] == "seq" else single_folder
-    out = tmp_path / "out"
-    # Each process gets a little further than the one before: to the manifest, a shard, a record.
-    moments = (9, 30, 16) if name == "frames" else (9, 16)
-    assert killed(name, source, out, moments[0])
-    assert out.is_dir()
-    for moment in moments[1:]:
-        killed(name, source, out, moment)
-    convert(name, source, out)
-    assert temporaries(out) == []
-    assert folder_bytes(out) == undisturbed[name]
-    assert realtouch.verify(str(out)).ok
-
-
-@pytest.mark.thorough
-def test_half_written_pictures_are_removed(single_folder, undisturbed, tmp_path):
-    out = tmp_path / "out"
+def test_killed_again_and_again_it_ends_with_the_same_bytes(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.frames(single_folder, tmp_path / "whole")
+    again, half = tmp_path / "again", tmp_path / "half"
+    for moment in (9, 30, 16):  # each gets further than the one before: to the manifest, a shard, a record
+        assert killed(single_folder, again, moment)
     moment = 10
-    while not temporaries(out):
-        assert killed("frames", single_folder, out, moment)
+    while not list(half.glob(".pending/tmp-*")):  # a picture of which a part was written
+        assert killed(single_folder, half, moment)
         moment += 1
-    convert("frames", single_folder, out)
-    assert temporaries(out) == []
-    assert folder_bytes(out) == undisturbed["frames"]
+    for out in (again, half):
+        realtouch.frames(single_folder, out)
+        assert not list(out.glob(".pending/tmp-*"))
+        assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
 
 
 def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,10 +35,6 @@ SOLIDS = {"ball": [ball(0.006, 2)], "block": [block()]}
 def _press(solid, sensor=SENSOR, at=(0.0, 0.0), **load):
     load = tactile_sim.GelLoad(**{"gel": GEL, **load})
     return tactile_sim.render_touch(solid, pose(), pose(*at), sensor, load=load)
-
-
-def _bytes(folder: Path) -> dict[str, bytes]:
-    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*.parquet"))}
 
 
 @pytest.fixture(scope="module")
@@ -287,31 +282,6 @@ def test_touches_of_the_plate_count_as_such(tmp_path):
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
     assert manifest["shards"][0]["statistics"]["on_object"] == 3
     assert "1 to 10 N" in (tmp_path / "set" / "README.md").read_text()
-
-
-@pytest.mark.thorough
-def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 1)
-    monkeypatch.setattr("tactile_sim.sets.generation._SMALLEST_SHARD_BYTES", 1)
-    tactile_sim.generate(SOLIDS, SPEC, tmp_path / "one")
-    tactile_sim.generate(SOLIDS, SPEC, tmp_path / "two", workers=2)
-    assert _bytes(tmp_path / "one") == _bytes(tmp_path / "two")
-    assert len([name for name in _bytes(tmp_path / "one") if name.startswith("data")]) == 4
-    make, made = tactile_sim.sets.generation._make_row, []
-
-    def stopped(*arguments):
-        if len(made) == 2:
-            raise KeyboardInterrupt
-        made.append(arguments)
-        return make(*arguments)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("tactile_sim.sets.generation._make_row", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            tactile_sim.generate(SOLIDS, SPEC, tmp_path / "three")
-    assert 0 < len(list((tmp_path / "three" / "data").glob("*.parquet"))) < 4
-    tactile_sim.generate(SOLIDS, SPEC, tmp_path / "three")
-    assert _bytes(tmp_path / "one") == _bytes(tmp_path / "three")
 
 
 def test_forces_and_markers_come_back_from_lerobot(touches, tmp_path):

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 import realtouch
 import starstruck_gen
@@ -19,9 +18,11 @@ from tactile_sim.sets.round_plan import REACH_M
 from tactile_sim.sets.set_options import default_optics
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
+from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.tactile_sim.oracle import require_package
 from tests.tactile_sim.solids import block
+from tests.tactile_toolkit.toy import folder_bytes
 
 pytestmark = pytest.mark.sim
 
@@ -35,10 +36,6 @@ def scenes(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenes")
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 7), ("test", 3))), str(folder))
     return str(folder)
-
-
-def _bytes(folder: Path) -> dict[str, bytes]:
-    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*.parquet"))}
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +52,8 @@ def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, tou
     tactile_sim.generate(scenes, SPEC, whole)
     tactile_sim.generate(scenes, SPEC, parts, ["test"])
     tactile_sim.generate(scenes, SPEC, parts, ["train"], workers=2)
-    assert _bytes(whole) == _bytes(parts)
-    assert len(_bytes(whole)) > 2
-    manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (whole, parts)]
-    assert manifests[0] == manifests[1]
+    assert folder_bytes(whole) == folder_bytes(parts)
+    assert len(list((whole / "data").iterdir())) > 2
     for split in ("train", "test"):
         one, other = realtouch.load(touches, split), realtouch.load(whole, split)
         assert [r.id for r in one] == [r.id for r in other]
@@ -75,10 +70,10 @@ def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
 
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_the_source_is_not_written_over(overwrite, scenes):
-    before = _bytes(Path(scenes))
+    before = folder_bytes(Path(scenes))
     with pytest.raises(InputError, match=r"holds the source.*choose a folder outside it"):
         tactile_sim.generate(scenes, SPEC, scenes, overwrite=overwrite)
-    assert _bytes(Path(scenes)) == before
+    assert folder_bytes(Path(scenes)) == before
 
 
 def test_a_set_agrees_with_its_poses(scenes, touches):
@@ -228,62 +223,28 @@ def test_invalid_sources_are_refused(scenes, touches, tmp_path):
         tactile_sim.TouchSetSpec(optics="lens")
 
 
-@pytest.mark.thorough
-def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
-    from cli import tactile
-    from cli.tactile_sim import app
-
-    out = str(tmp_path / "syn")
-    command = [
-        "generate",
-        scenes,
-        *["--split", "test", "--rounds", "1", "--touches", "3", "-w", "1", "--out"],
-        out,
-    ]
-
-    def call(*arguments: str) -> str:
-        line = app if arguments[0] == "generate" else tactile.app
-        result = CliRunner().invoke(line, list(arguments))
-        assert result.exit_code == 0, result.output
-        return result.output
-
-    assert "would make 3 rounds" in call(*command, "--optics", "depth", "--dry-run")
+def test_a_table_of_touches_is_an_option_of_the_command(scenes, tmp_path, capsys):
     (tmp_path / "places.csv").write_text("x_m,y_m\n0,0\n0.01,0\n")
-    given = ("--touches-from", str(tmp_path / "places.csv"), "--optics", "depth", "--dry-run")
-    assert "would make 3 rounds" in call(*command, *given)
-    assert CliRunner().invoke(app, [*command, *given, "--positions", "grid"]).exit_code == 2
-    assert "made 3 rounds" in call(*command, "--optics", "depth", "--part", "0/2")
-    unfinished = call("info", out)
-    assert "unfinished, the run is under way or was interrupted" in unfinished
-    assert "1 of 1" in unfinished
-    assert "nothing was left to make; part 1/2" in call(*command, "--optics", "depth", "--part", "1/2")
-    assert "nothing was left to make" in call(*command, "--optics", "depth", "--finish")
-    assert "nothing is wrong" in call("verify", out)
-    command[-1] = out = str(tmp_path / "again")
-    assert "made 3 rounds" in call(*command, "--optics", "depth")
-    assert "nothing was left to make" in call(*command, "--optics", "depth")
-    assert "optics = depth" in call("info", out)
-    assert "nothing is wrong" in call("verify", out)
-    assert "matches the data" in call("card", out)
+    words = ("generate", scenes, "--split", "test", "--optics", "depth", "-w", 1, "--out", tmp_path / "out")
+    given = ("--touches-from", tmp_path / "places.csv")
+    assert call("tactile-sim", *words, *given, "--positions", "grid") == 2
+    assert call("tactile-sim", *words, *given, "--rounds", 1) == 0
+    assert "made 3 rounds" in capsys.readouterr().out
+    assert call("tactile", "info", tmp_path / "out") == 0
+    assert "optics = depth" in capsys.readouterr().out
+    record = realtouch.load(tmp_path / "out", "test")[0]
+    assert record.pos_in_cell.tolist() == [[0, 0], [0.01, 0]]
 
 
-def test_one_look_at_a_mesh_file(tmp_path):
-    from cli.tactile_sim import app
-    from tactile_toolkit.touch import decode_image
-
+def test_one_look_at_a_mesh_file(tmp_path, capsys):
     block((0.02, 0.006, 0.004)).apply_scale(1000).export(tmp_path / "part.stl")
-    out = tmp_path / "touch.png"
-    place = ("--at-mm", "2,0", "--turn-deg", "17")
-    command = ["render", str(tmp_path / "part.stl"), *place, "--optics", "depth", "--size"]
-    result = CliRunner().invoke(app, [*command, "80x60", "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "stops 6.125 mm above the plate" in result.output
-    assert decode_image(out.read_bytes()).shape == (60, 80, 3)
-    printed = CliRunner().invoke(
-        app, [*command, "80x60", "--out", str(out), "--layer-mm", "0.3", "--overwrite"]
-    )
-    assert printed.exit_code == 0, printed.output
-    assert "stops 6.125 mm above the plate" not in printed.output  # tops are whole layers
+    words = ("--at-mm", "2,0", "--turn-deg", "17", "--optics", "depth", "--size", "80x60")
+    words = ("render", tmp_path / "part.stl", *words, "--out", tmp_path / "touch.png")
+    assert call("tactile-sim", *words) == 0
+    assert "stops 6.125 mm above the plate" in capsys.readouterr().out
+    assert decode_image((tmp_path / "touch.png").read_bytes()).shape == (60, 80, 3)
+    assert call("tactile-sim", *words, "--layer-mm", "0.3", "--overwrite") == 0
+    assert "stops 6.125 mm above the plate" not in capsys.readouterr().out  # tops are whole layers
 
 
 def _rendered(capsys, *arguments) -> tuple[dict, str]:

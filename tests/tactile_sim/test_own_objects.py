@@ -21,6 +21,7 @@ from tactile_toolkit.mesh.files import pack_mesh
 from tactile_toolkit.store import Skipped
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tests.command_line import call
+from tests.mutations import mutated
 from tests.tactile_sim.solids import ball, block
 
 pytestmark = pytest.mark.sim
@@ -311,23 +312,9 @@ def test_depth_images_have_grey_noise_of_the_requested_deviation(tmp_path: Path)
 @pytest.mark.thorough
 @pytest.mark.parametrize("ending", [".stl", ".obj", ".ply", ".3mf", ".glb"])
 def test_damaged_files_are_left_out_with_a_sentence(ending: str, tmp_path: Path) -> None:
-    """150 mutations of each format: bytes flipped, cut, inserted or repeated."""
-    rng = np.random.default_rng(5)
     whole = pack_mesh(Mesh.of(block()), ending)
     for number in range(150):
-        content = bytearray(whole)
-        for _ in range(rng.integers(1, 4)):
-            place, length = int(rng.integers(len(content))), int(rng.integers(1, 9))
-            change = rng.integers(4)
-            if change == 0:
-                content[place] ^= 1 << int(rng.integers(8))
-            elif change == 1:
-                del content[place : place + length]
-            elif change == 2:
-                content[place:place] = rng.bytes(length)
-            else:
-                content[place:place] = content[place : place + 50]
-        (tmp_path / f"{number}{ending}").write_bytes(bytes(content))
+        (tmp_path / f"{number}{ending}").write_bytes(mutated(whole, number))
     plan = tactile_sim.TouchPlan(1, 1, "object")
     touches = TouchGenerator.of(tmp_path, tactile_sim.TouchSetSpec((16, 12), "depth", plan=plan))
     made = list(touches.make("train", range(150)))
