@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import MISSING, asdict
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,7 @@ from tactile_toolkit.wording import with_count
 _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 # Imported when it is called: it imports torch, which takes seconds and is an extra.
 _train = kind.lazy("tactile_sim.learned.training:train")
+_lift_attempts = kind.lazy("tactile_sim.sets.grasps:GraspGenerator.of")  # imports MuJoCo, an extra
 _sensor_output = kind.lazy("tactile_sim.twin.twin_files:open_sensor_output")
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
@@ -70,18 +72,64 @@ def generate(
         plan["positions"] = "given"
     filters = chosen.given()
     split = filters.pop("split")
-    splits = split and (split,)
     spec = spec_of(sink, picture, plan=TouchPlan(**plan), press=press_of(press), **filters)
+    make = partial(tactile_sim.TouchGenerator.of, objects, spec, unit)
+    _generate(sink, make, objects, source_options, out, split, run_options)
+
+
+def _generate(
+    sink: output.Sink,
+    make: Callable[..., tactile_sim.TouchGenerator],
+    objects: str,
+    source_options: SourceOptions,
+    out: str,
+    split: str | None,
+    run_options: options.GenerateOptions,
+) -> None:
+    """Make a data set of touches; ``make`` takes what opens a data set of objects."""
     if not run_options.dry_run:
         run.prepare_batch_process()
-    touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(source_options.open_source, sink))
+    touches = make(opened=partial(source_options.open_source, sink))
     if touches.has_own_objects:
         options.refuse(asdict(source_options), "mesh files")
     require = partial(touches.refuse_sources, objects, out)
-    runs.generate_set(sink, "rendering", touches, out, splits, run_options, require)
+    runs.generate_set(sink, "rendering", touches, out, split and (split,), run_options, require)
 
 
-def spec_of(sink: output.Sink, picture: options.UserOptions, **others: object) -> TouchSetSpec:
+@command(app)
+def grasp(
+    *,
+    objects: str = options.argument("FILE|DIR|NAME", "Flat solids: digits, or your own meshes."),
+    source_options: options.SourceOptions,
+    chosen: catalog.RowFilter,
+    unit: str | None = mesh.UNIT,
+    out: str = options.out_folder("grasps"),
+    picture: Annotated[options.UserOptions, options.OptionsOf(tactile_sim.GraspSpec)],
+    run_options: options.GenerateOptions,
+    sink: output.Sink,
+) -> None:
+    """Lift objects between two gels, and write images and forces, labelled slip or hold.
+
+    A row is an attempt: what both gels show before, while and after the load grows. Needs the extra
+    `mujoco`.
+
+    Example: tactile-sim grasp digits --split test --attempts 4 --out grasps
+
+    After an interruption, the same command continues; finished shards are kept.
+    """
+    filters = chosen.given()
+    split = filters.pop("split")
+    spec = spec_of(sink, picture, tactile_sim.GraspSpec, **filters)
+    make = partial(_lift_attempts, objects, spec, unit)
+    _generate(sink, make, objects, source_options, out, split, run_options)
+
+
+def spec_of(
+    sink: output.Sink,
+    picture: options.UserOptions,
+    spec_type: type[TouchSetSpec] = TouchSetSpec,
+    **others: object,
+) -> TouchSetSpec:
     """Return the specification of the options that were given."""
     known = "optics" in picture
     optics = default_optics()
@@ -89,7 +137,7 @@ def spec_of(sink: output.Sink, picture: options.UserOptions, **others: object) -
     if sensor != sensors.GELSIGHT_MINI:
         known = True
         optics = sensor.optics_name
-    spec = TouchSetSpec(**{"optics": optics, **picture, **others})
+    spec = spec_type(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
     return spec

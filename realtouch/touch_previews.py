@@ -159,7 +159,7 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     """
     row = record.row
     contact_source = row.contact_source
-    rule = contact_source.heights
+    rule = None if contact_source.has_column else contact_source.heights
     is_contact = row.stated_contact() if contact_source.has_column else np.zeros(record.touch_count, bool)
     if rule is not None:
         z_m = row.contact_z_m()

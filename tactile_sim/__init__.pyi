@@ -17,6 +17,8 @@ from .sets.generation import (
     generate as generate,
     TouchGenerator as TouchGenerator,
 )
+from .sets.grasp_options import GraspSpec as GraspSpec
+from .sets.grasps import GraspGenerator as GraspGenerator
 from .optics.rendering import make_optics as make_optics
 from .sets.pairs import PairGenerator as PairGenerator, make_pairs as make_pairs
 from .sets.set_options import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig, TrainRun as TrainRun

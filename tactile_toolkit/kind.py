@@ -35,6 +35,7 @@ _COMMANDS = {
     "resize": "realtouch resize",
     "to-single": "realtouch stills",
     "depth": "tactile-sim depth",
+    "grasp": "tactile-sim grasp",
     "pairs": "tactile-sim pairs",
 }
 """Command of each operation that a manifest names."""

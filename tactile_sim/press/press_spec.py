@@ -35,7 +35,12 @@ _PANEL = "Elastic gel"
 _GELS = "none|elastic|FILE"
 
 # Factor and unit with which messages show values in newtons, radians and metres.
-_SHOWN_IN = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
+_SHOWN_IN = {
+    "force_n": (1.0, "N"),
+    "friction": (1.0, ""),
+    "mass_kg": (1e3, "g"),
+    "twist_rad": (180 / math.pi, "degrees"),
+}
 _SHOWN_LENGTH = (1e3, "mm")
 _gel = lazy("tactile_sim.elastic.contact:Gel")
 _read_gel = lazy("tactile_sim.press.elastic_press:read_gel")
@@ -55,7 +60,7 @@ def gel_named(word: str) -> Gel | None:
     return made
 
 
-def _span_of(name: str, per_unit: float) -> Callable[[str], Span]:
+def span_of(name: str, per_unit: float) -> Callable[[str], Span]:
     """Return a function that reads a span, ``A`` or ``A:B``; ``per_unit`` converts it to the SI unit."""
 
     def read(words: str) -> Span:
@@ -71,7 +76,8 @@ def _span_of(name: str, per_unit: float) -> Callable[[str], Span]:
     return read
 
 
-def _markers_of(words: str) -> tuple[int, int]:
+def markers_of(words: str) -> tuple[int, int]:
+    """Return columns and rows of markers, as in ``7x9``; InputError for other words."""
     columns, _, rows = words.strip().lower().partition("x")
     if not (wording.is_count(columns) and wording.is_count(rows)):
         raise InputError(f"is {words!r}; expected COLUMNSxROWS, such as 7x9", field="markers")
@@ -85,6 +91,37 @@ def checked_markers(markers: object) -> tuple[int, int]:
     if not is_pair or not 1 <= min(grid) <= max(grid) <= _MAX_MARKERS:
         raise InputError(f"are {markers!r}; expected columns and rows, 1 to {_MAX_MARKERS}", field="markers")
     return grid[0], grid[1]
+
+
+def checked_span(
+    name: str,
+    value: object,
+    most: float,
+    owner: str,
+    *,
+    least: float = 0.0,
+    above: float = -math.inf,
+) -> Span:
+    """Return a number or a pair as a span; InputError unless it ascends and lies within bounds.
+
+    ``name`` is the field, in the SI unit, and ``owner`` what it belongs to in messages.
+    """
+    ends = checked_fields.to_builtin(value, float)
+    if isinstance(ends, float):
+        ends = (ends, ends)
+    is_pair = isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(end, float) for end in ends)
+    if not is_pair or not (least <= ends[0] <= ends[1] <= most and ends[0] > above):
+        factor, unit = _SHOWN_IN.get(name, _SHOWN_LENGTH)
+        span = f"from {factor * least:g} to {factor * most:g} {unit}".rstrip()
+        if above == 0:
+            span = f"above 0, to {factor * most:g} {unit}".rstrip()
+        shown = repr(value)
+        if is_pair:
+            shown = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}".rstrip()
+        raise InputError(
+            f"of {owner} is {shown}; expected a number {span}, or two in ascending order", field=name
+        )
+    return ends[0], ends[1]
 
 
 def _list_or_none(values: tuple[float, ...] | None) -> list[float] | None:
@@ -140,7 +177,7 @@ class ElasticPress:
         metavar="A[:B]",
         needs="gel=elastic",
         panel=_PANEL,
-        read=_span_of("force_n", 1.0),
+        read=span_of("force_n", 1.0),
         shown=f"{FORCE_N:g}",
         help="Normal force of a press of an elastic gel, newtons; of A:B each touch draws one.",
     )
@@ -149,7 +186,7 @@ class ElasticPress:
         metavar="A[:B]",
         needs="gel=elastic",
         panel=_PANEL,
-        read=_span_of("press_m", 1e-3),
+        read=span_of("press_m", 1e-3),
         help="Depth of a press of an elastic gel, instead of a force.",
     )
     slide_m: Span | None = text(
@@ -157,7 +194,7 @@ class ElasticPress:
         metavar="A[:B]",
         needs="gel=elastic",
         panel=_PANEL,
-        read=_span_of("slide_m", 1e-3),
+        read=span_of("slide_m", 1e-3),
         shown="0",
         help="How far the object slides after the press, in a random direction.",
     )
@@ -166,7 +203,7 @@ class ElasticPress:
         metavar="A[:B]",
         needs="gel=elastic",
         panel=_PANEL,
-        read=_span_of("twist_rad", math.pi / 180),
+        read=span_of("twist_rad", math.pi / 180),
         shown="0",
         help="How far the object turns after the press, about the axis of the sensor.",
     )
@@ -175,7 +212,7 @@ class ElasticPress:
         metavar="COLUMNSxROWS",
         needs="gel=elastic",
         panel=_PANEL,
-        read=_markers_of,
+        read=markers_of,
         help="Markers on the gel, whose motion is stored.",
     )
     draw_markers: bool = switch(
@@ -212,23 +249,8 @@ class ElasticPress:
     def _set_span(
         self, name: str, value: object, most: float, *, least: float = 0.0, above: float = -math.inf
     ) -> None:
-        """Normalize a number or a pair to a span; InputError unless it ascends and lies within bounds."""
-        ends = checked_fields.to_builtin(value, float)
-        if isinstance(ends, float):
-            ends = (ends, ends)
-        is_pair = isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(end, float) for end in ends)
-        if not is_pair or not (least <= ends[0] <= ends[1] <= most and ends[0] > above):
-            factor, unit = _SHOWN_IN.get(name, _SHOWN_LENGTH)
-            span = f"from {factor * least:g} to {factor * most:g} {unit}"
-            if above == 0:
-                span = f"above 0, to {factor * most:g} {unit}"
-            shown = repr(value)
-            if is_pair:
-                shown = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
-            raise InputError(
-                f"of the press is {shown}; expected a number {span}, or two in ascending order", field=name
-            )
-        object.__setattr__(self, name, ends)
+        span = checked_span(name, value, most, "the press", least=least, above=above)
+        object.__setattr__(self, name, span)
 
     def to_dict(self) -> JsonDict:
         """Return JSON values that decide images and columns."""

@@ -27,6 +27,11 @@ _ELASTIC_LIMITS = (
     "strain; a press of half the thickness, where one by force stops, is indicative only.",
     "A slide and a twist are applied in one step after the press; real contact depends on its history.",
 )
+_GRASP_LIMITS = (
+    "The gel is a linear elastic layer without side faces: no viscosity, no adhesion, no large strain, and "
+    "one coefficient of friction.",
+    "Fingers do not collide with the object beside their gels.",
+)
 
 # Approximate width of images in sheets.
 _TILE_PX = 96
@@ -68,11 +73,7 @@ class CardGel:
         stops = f"the force is {_span(press['force_n'], 1.0)} N, or half of the gel is pressed in"
         if press["force_n"] is None:
             stops = f"the highest point under it is {_span(press['press_m'], 1e3)} mm deep in it"
-        material = (
-            f"elastic: Young's modulus {press['youngs_modulus_pa'] / 1e6:g} MPa, Poisson's ratio "
-            f"{press['poisson_ratio']:g}, friction {press['friction']:g}"
-        )
-        lines = [("gel", material)]
+        lines = [("gel", f"{_material(press)}, friction {press['friction']:g}")]
         for what, name, factor, unit in (
             ("slide after the press", "slide_m", 1e3, "mm"),
             ("twist after the press", "twist_rad", 180 / math.pi, "degrees"),
@@ -90,6 +91,11 @@ class CardGel:
         return cls(stops, "the surface of the gel", more, lines, _ELASTIC_LIMITS)
 
 
+def _material(press: JsonObject) -> str:
+    modulus_mpa = press["youngs_modulus_pa"] / 1e6
+    return f"elastic: Young's modulus {modulus_mpa:g} MPa, Poisson's ratio {press['poisson_ratio']:g}"
+
+
 def _span(ends: Sequence[float], factor: float) -> str:
     low, high = (f"{factor * end:.4g}" for end in ends)
     return low if low == high else f"{low} to {high}"
@@ -100,9 +106,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
 
     Raises IntegrityError if a shard is missing or damaged.
     """
-    if manifest.spec.get("operation") == "pairs":
-        _write_pairs_card(folder, manifest)
-        return
+    write = _CARDS.get(str(manifest.spec.get("operation")), _write_touches_card)
+    write(folder, manifest)
+
+
+def _write_touches_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     plan = spec["plan"]
@@ -236,6 +244,42 @@ def touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     return sheet_png(rows)
 
 
+def _write_grasps_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
+    """Write ``README.md`` of a set of lift attempts and its picture."""
+    spec = manifest.spec["options"]
+    width, height = spec["size_px"]
+    counts = [manifest.statistics()[split] for split in manifest.splits]
+    sensor, press = _sensor_of(spec), spec["press"]
+    spans = (("force of each finger", press["force_n"], 1.0, " N"), ("mass", spec["mass_kg"], 1e3, " g"))
+    cards.Card(
+        template="touch_grasps.md",
+        title="Lift attempts",
+        columns=SyntheticRound.meanings(),
+        picture=("touches.png", "The first touches of the first attempts, left and right gel in turn"),
+        drawn=touches_sheet,
+        licence="mit",
+        tags=["tactile", "grasping", "slip-detection", "touch", "synthetic"],
+        tasks={"task_categories": ["robotics", "image-classification"]},
+        figures={"held": [f"{row['held']:,}" for row in counts]},
+        made=[
+            *_objects_in_words(manifest.spec["source"]),
+            ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),
+            *sensor.lines,
+            ("gel", _material(press)),
+            *((what, f"{_span(ends, factor)}{unit}") for what, ends, factor, unit in spans),
+            ("friction", _span(spec["friction"], 1.0)),
+            ("noise", _NOISE[spec["optics"] == "depth"] if spec.get("noise") else "none"),
+        ],
+        limits=_GRASP_LIMITS,
+        values={
+            "size_text": f"{width} x {height} pixels",
+            "gel_mm": f"{sensor.model.gel_mm:g}",
+            "gels": "both gels, the left one first," if spec["plan"]["fingers"] == 2 else "the left gel",
+            "touches": f"{sum(row['touches'] for row in counts):,}",
+        },
+    ).write(folder, manifest, KIND)
+
+
 def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a training set and its picture."""
     spec = manifest.spec["options"]
@@ -290,13 +334,18 @@ def _shown(picture: AnyArray) -> UInt8:
 def facts(_folder: store.DataFolder, manifest: store.Manifest) -> Facts:
     """Return the touches of each split, and how many met an object; reads no row."""
     rows = []
+    figure, noun = ("held", "rows") if manifest.spec.get("operation") == "grasp" else ("on_object", "touches")
     for split, held in manifest.split_table().items():
         # Shard records hold these counts.
         parts = [record.statistics or {} for record in manifest.shards_of(split)]
-        touches = sum(part.get("touches", 0) for part in parts)
-        contact = sum(part.get("on_object", 0) for part in parts)
-        share = f"{100 * contact / touches:.1f} %" if touches else "-"
+        touches, counted = (sum(part.get(name, 0) for part in parts) for name in ("touches", figure))
+        total = {"rows": held["rows"], "touches": touches}[noun]
+        share = f"{100 * counted / total:.1f} %" if total else "-"
         size_text = wording.bytes_text(held["bytes"])
         rows.append((split, held["rows"], touches, share, held["skipped"], size_text))
-    header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
+    title = {"held": "held", "on_object": "on the object"}[figure]
+    header = ("split", "rounds", "touches", title, "objects left out", "Parquet")
     return Facts(header, tuple(rows))
+
+
+_CARDS = {"pairs": _write_pairs_card, "grasp": _write_grasps_card}

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +20,8 @@ from tactile_sim.sets.round_plan import plan_round
 from tactile_sim.sets.set_options import TouchSetSpec
 from tactile_toolkit import catalog, generation, places, read, rows, store, touch
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.value_types import Float32, Float64, Int64, JsonObject
+from tactile_toolkit.mesh import MeshLike
+from tactile_toolkit.value_types import Bool, Float32, Float64, Int64, JsonObject, UInt8
 
 EXTRA = "extra."
 """Prefix of columns that only some sets have: ``touch.extra["force_n"]`` reads them."""
@@ -116,7 +117,9 @@ class SyntheticRound(rows.TypedRow):
         "press_depth_m", "T, m", "how far the highest point under the gel is pressed in"
     )
     contact_point_m: Float32 | None = _extra(
-        "contact_point_m", "T x 2, m", "where the normal force acts, from the middle of the gel"
+        "contact_point_m",
+        "T x 2, m",
+        "where the normal force acts, from the middle of the gel; NaN without contact",
     )
     slide_m: Float32 | None = _extra(
         "slide_m", "T x 2, m", "how far the object slid under the gel after the press"
@@ -140,6 +143,12 @@ class SyntheticRound(rows.TypedRow):
         "T x 3 H W, mm",
         "displacement of its surface under each pixel: along x, along y, into the gel",
     )
+    finger: Int64 | None = _extra("finger", "T", "the finger: 0 left, 1 right")
+    time_s: Float32 | None = _extra("time_s", "T, s", "time since the fingers began to close")
+    in_contact: Bool | None = _extra("in_contact", "T", "whether the object touched the gel")
+    mass_kg: Float32 | None = _extra("mass_kg", "T, kg", "mass of the object, the same for all")
+    friction: Float32 | None = _extra("friction", "T", "coefficient of friction, the same for all")
+    grip_n: Float32 | None = _extra("grip_n", "T, N", "force of each finger, the same for all")
 
 
 def synthetic_schema(
@@ -174,6 +183,7 @@ class TouchGenerator(generation.RowGenerator):
     rows: Mapping[str, range | Int64] = field(repr=False)
     unfinished: str = ""
     kind = KIND
+    operation: ClassVar[str] = "generate"
 
     @classmethod
     def of(
@@ -216,7 +226,7 @@ class TouchGenerator(generation.RowGenerator):
         options = self.spec.to_dict()
         if self.unfinished:
             options["unfinished"] = self.unfinished
-        return {"operation": "generate", "options": options, "source": source}
+        return {"operation": self.operation, "options": options, "source": source}
 
     def items(self) -> Mapping[str, range]:
         """Return the rounds of each split."""
@@ -287,14 +297,45 @@ class TouchGenerator(generation.RowGenerator):
                 if is_first:
                     for note in held.notes:
                         _LOG.warning("%s: %s", name, note)
-                solid = Pressable.of(held, layer_m=self.spec.layer_m)
+                solid = self.prepare(held)
             except InputError as error:
                 if is_first:
                     reason = error.reason if isinstance(error, ItemError) else "no-solid"
                     yield store.Skipped(record.id, reason, f"{name}: {error}")
                 continue
             for number in touched:
-                yield _make_row(self.spec, solid, (split, record.id, number), record.label)
+                yield self.make_round(solid, (split, record.id, number), record.label)
+
+    def prepare(self, solid: MeshLike) -> Pressable:
+        """Return a solid in the form that is pressed; InputError if it cannot be used."""
+        return Pressable.of(solid, layer_m=self.spec.layer_m)
+
+    def make_round(self, solid: Pressable, key: tuple[str, int, int], label: int) -> SyntheticRound:
+        """Make the row of a round; ``key`` is its split, object and number."""
+        spec = self.spec
+        _, object_id, number = key
+        plan = plan_round(spec.plan, solid, *key)
+        touches = len(plan.positions_m)
+        # The gel comes straight down: sensors of the published environments never tilt.
+        targets = np.tile(np.eye(4), (touches, 1, 1))
+        targets[:, :2, 3] = plan.positions_m
+        # The last pose is that after the last touch.
+        made = round_press.press_round(spec, solid, plan.object_poses[:-1], targets, key)
+        return SyntheticRound(
+            id=f"{object_id}-{number}",
+            label=label,
+            object_id=object_id,
+            # As published: the pose after the shift, so that touch i was rendered at the pose of touch i - 1.
+            moved_position_m=plan.object_position_m[1:],
+            moved_quaternion=plan.object_quaternion[1:],
+            positions_m=plan.positions_m,
+            gel_position_m=np.column_stack([plan.positions_m, made.pressed.sensor_z_m]),
+            gel_quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (touches, 1)),  # no turn, as x, y, z, w
+            images=encoded_images(spec, made.images),
+            object_position_m=plan.object_position_m[:-1],
+            object_quaternion=plan.object_quaternion[:-1],
+            **made.further,
+        )
 
     def statistics(self, rows: Sequence[SyntheticRound]) -> Mapping[str, int]:
         """Count the touches, and those on the object."""
@@ -305,32 +346,11 @@ class TouchGenerator(generation.RowGenerator):
         return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
 
-def _make_row(spec: TouchSetSpec, solid: Pressable, key: tuple[str, int, int], label: int) -> SyntheticRound:
-    _, object_id, number = key
-    plan = plan_round(spec.plan, solid, *key)
-    touches = len(plan.positions_m)
-    # The gel comes straight down: sensors of the published environments never tilt.
-    targets = np.tile(np.eye(4), (touches, 1, 1))
-    targets[:, :2, 3] = plan.positions_m
-    # The last pose is that after the last touch.
-    made = round_press.press_round(spec, solid, plan.object_poses[:-1], targets, key)
-    images = [touch.encode_image(image, spec.image_format, spec.quality) for image in made.images]
+def encoded_images(spec: TouchSetSpec, images: UInt8) -> list[tuple[bytes, str]]:
+    """Return images (T, H, W, 3) as a row stores them: encoded, with their names."""
     suffix = touch.IMAGE_SUFFIX[spec.image_format]
-    return SyntheticRound(
-        id=f"{object_id}-{number}",
-        label=label,
-        object_id=object_id,
-        # As published: the pose after the shift, so that touch i was rendered at the pose of touch i - 1.
-        moved_position_m=plan.object_position_m[1:],
-        moved_quaternion=plan.object_quaternion[1:],
-        positions_m=plan.positions_m,
-        gel_position_m=np.column_stack([plan.positions_m, made.pressed.sensor_z_m]),
-        gel_quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (touches, 1)),  # no turn, as x, y, z, w
-        images=[(image, f"{index:03d}.{suffix}") for index, image in enumerate(images)],
-        object_position_m=plan.object_position_m[:-1],
-        object_quaternion=plan.object_quaternion[:-1],
-        **made.further,
-    )
+    encoded = [touch.encode_image(image, spec.image_format, spec.quality) for image in images]
+    return [(image, f"{index:03d}.{suffix}") for index, image in enumerate(encoded)]
 
 
 def generate(

@@ -70,10 +70,9 @@ def press_round(
     spec: TouchSetSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
 ) -> PressedRound:
     """Press and render the touches of a round; ``key`` is its split, object and number."""
-    optics = optics_of(spec)
     press = spec.press
     further = JsonDict()
-    shown = _depth_sensor(spec, optics)
+    shown = depth_sensor(spec)
     if press is None:
         if spec.sensor.press_m != touch.PRESS_DEPTH_M:
             further["plate_z_m"] = shown.press_m
@@ -82,16 +81,26 @@ def press_round(
         load = drawn_load(press, len(targets), spec.plan.seed, *key)
         pressed = render_touch(solid, poses, targets, shown, load=load)
         further["plate_z_m"] = bare_plate_z_m(press, shown)
-        further |= elastic_values(press, pressed, load, shown, spec.size_px)
-    images = pressed.render(optics, shown, spec.size_px)
+        motion = np.asarray(load.slide_m), np.asarray(load.twist_rad)
+        further |= elastic_values(press, pressed, motion, shown, spec.size_px)
+    return PressedRound(pressed, images_of_round(spec, pressed, shown, key), further, shown)
+
+
+def images_of_round(
+    spec: TouchSetSpec, pressed: Pressed, sensor: sensors.Sensor, key: tuple[str, int, int]
+) -> UInt8:
+    """Return the images of the touches of a round, with markers and noise if its set has them."""
+    press = spec.press
+    images = pressed.render(optics_of(spec), sensor, spec.size_px)
     if press is not None and press.markers is not None and press.draw_markers:
-        positions_px = markers_px(press.markers, pressed, shown, spec.size_px)
+        positions_px = markers_px(press.markers, pressed, sensor, spec.size_px)
         images = np.stack([draw_markers(*pair) for pair in zip(images, positions_px, strict=True)])
-    return PressedRound(pressed, _with_noise(spec, images, key), further, shown)
+    return _with_noise(spec, images, key)
 
 
-def _depth_sensor(spec: TouchSetSpec, optics: Optics) -> sensors.Sensor:
-    """Return the sensor whose depth maps the optics render."""
+def depth_sensor(spec: TouchSetSpec) -> sensors.Sensor:
+    """Return the sensor whose depth maps the optics of a specification render."""
+    optics = optics_of(spec)
     size_px = spec.size_px
     model = spec.sensor
     if spec.window == "full":
@@ -252,21 +261,29 @@ def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str,
 
 
 def elastic_values(
-    press: ElasticPress, pressed: Pressed, load: GelLoad, sensor: sensors.Sensor, size_px: tuple[int, int]
+    press: ElasticPress,
+    pressed: Pressed,
+    motion: tuple[Float64, Float64],
+    sensor: sensors.Sensor,
+    size_px: tuple[int, int],
 ) -> dict[str, AnyArray]:
-    """Return the attributes of a row of touches of an elastic gel."""
+    """Return the attributes of a row of T touches of an elastic gel.
+
+    ``motion`` is how far the object moved under the gel: slides (T, 2), metres, and turns (T,), radians.
+    """
     contacts = pressed.contacts
     force_n = np.array([contact.force_n for contact in contacts])
     torque_n_m = np.array([contact.torque_n_m for contact in contacts])
     # Where the force of the press acts, from its moments about x and y.
-    point_m = np.column_stack([-torque_n_m[:, 1], torque_n_m[:, 0]]) / force_n[:, 2:]
+    with np.errstate(invalid="ignore"):  # NaN without contact
+        point_m = np.column_stack([-torque_n_m[:, 1], torque_n_m[:, 0]]) / force_n[:, 2:]
     numbers: dict[str, ArrayLike] = {
         "force_n": force_n,
         "torque_n_m": torque_n_m,
         "press_depth_m": np.array([contact.depth_m for contact in contacts]),
         "contact_point_m": point_m,
-        "slide_m": load.slide_m,
-        "twist_rad": load.twist_rad,
+        "slide_m": motion[0],
+        "twist_rad": motion[1],
     }
     values: dict[str, AnyArray] = {name: np.asarray(number, np.float32) for name, number in numbers.items()}
     if press.markers is not None:

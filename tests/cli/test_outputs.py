@@ -44,8 +44,9 @@ CASES = {
     "tactile-sim pairs": ("digits --real touches --split test", "README.md"),
     "tactile-sim render": ("part.stl", ""),
 }
-# Tested in test_hub_download.py and test_sensor_twins.py, and in tests/tactile_sim/test_learning.py.
-ELSEWHERE = {"tactile download", "tactile-sim train"}
+# Tested in test_hub_download.py and test_sensor_twins.py, and in tests/tactile_sim: test_learning.py and
+# test_grasps.py.
+ELSEWHERE = {"tactile download", "tactile-sim grasp", "tactile-sim train"}
 
 
 def test_every_command_with_an_output_is_listed() -> None:
