@@ -35,6 +35,7 @@ class MadeRecording:
         rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
         self.rest = np.stack([60 + columns, 90 + rows, 150 - columns], axis=-1).astype(np.float64)
         self.read: list[int] = []
+        self._encoded: dict[int, bytes] = {}
 
     def picture(self, number: int) -> np.ndarray:
         rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
@@ -49,6 +50,11 @@ class MadeRecording:
         picture = picture * self.light[number] + random.normal(scale=self.noise, size=picture.shape)
         return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
+    def encoded(self, number: int) -> bytes:
+        if number not in self._encoded:
+            self._encoded[number] = encode_image(self.picture(number))
+        return self._encoded[number]
+
     def contents(self, places: Iterable[PictureLocation]) -> Iterator[bytes | ItemError]:
         for place in places:
             for number in range(place.start, place.start + max(1, place.frames)):
@@ -56,7 +62,7 @@ class MadeRecording:
                 if number in self.unreadable:
                     yield ItemError("image", "damaged")
                 else:
-                    yield encode_image(self.picture(number))
+                    yield self.encoded(number)
 
     def recording(self, name: str = "take1", fps: float | None = 25.0, **more: Any) -> Recording:
         time_s = None

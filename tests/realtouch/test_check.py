@@ -432,7 +432,7 @@ def test_rendered_touches_of_equal_surfaces_are_no_fault(tmp_path: Path) -> None
     scenes, touches = tmp_path / "scenes", tmp_path / "touches"
     spec = starstruck_gen.SceneSetSpec(scenes=(("train", 2), ("test", 1)))
     starstruck_gen.generate(spec, str(scenes))
-    plan = tactile_sim.TouchPlan(2, 16, seed=3)
+    plan = tactile_sim.TouchPlan(1, 16, seed=3)
     tactile_sim.generate(str(scenes), tactile_sim.TouchSetSpec((64, 64), "depth", plan=plan), touches)
     assert realtouch.check(touches).findings == ()
     # A round that occurs twice is a duplicate nevertheless.

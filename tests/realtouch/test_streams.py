@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -278,15 +279,20 @@ def test_alignment_states_its_limits() -> None:
             Alignment(**wrong)
 
 
+@cache
+def video(count: int, contacts: tuple[tuple[int, int], ...]) -> bytes:
+    """Return an AVI of a recording at 25 pictures a second."""
+    made = MadeRecording(count, contacts, noise=1.0)
+    return write_avi([made.encoded(frame) for frame in range(count)], SIZE[1], SIZE[0], 25.0)
+
+
 @pytest.fixture
 def takes(tmp_path: Path) -> Path:
     """Two videos of 100 pictures, each with two touches, and streams beside them."""
     home = tmp_path / "takes"
     home.mkdir()
     for number in (1, 2):
-        made = MadeRecording(100, [(15, 25), (60, 80)], noise=1.0)
-        frames = [encode_image(made.picture(frame)) for frame in range(100)]
-        (home / f"take{number}.avi").write_bytes(write_avi(frames, SIZE[1], SIZE[0], 25.0))
+        (home / f"take{number}.avi").write_bytes(video(100, ((15, 25), (60, 80))))
         force_s = np.arange(4000) / 1000
         stream(home, {"time_s": force_s, "fz": 10 * number + force_s}, f"take{number}.force.csv")
         stream(home, {"seq": np.arange(100) + 1000 * number}, f"take{number}.jsonl")
@@ -297,9 +303,7 @@ def test_a_camera_that_delivers_another_rate_than_its_file_states(tmp_path: Path
     """36 pictures in two seconds, 18 a second; the header says 25."""
     home = tmp_path / "takes"
     home.mkdir()
-    made = MadeRecording(36, [(15, 25)], noise=1.0)
-    frames = [encode_image(made.picture(frame)) for frame in range(36)]
-    (home / "take1.avi").write_bytes(write_avi(frames, SIZE[1], SIZE[0], 25.0))
+    (home / "take1.avi").write_bytes(video(36, ((15, 25),)))
     gauge_s = np.arange(200) / 100
     stream(home, {"time_s": gauge_s, "gauge_s": gauge_s}, "take1.arm.csv")
     with pytest.raises(InputError, match=r"lasts 1\.99 s, the 36 pictures of 'take1' 1\.40 s at the 25 p"):
