@@ -7,12 +7,15 @@ of workers; see ``tactile_toolkit.store``.
 
 from __future__ import annotations
 
+import hashlib
+import shutil
+import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, groupby, pairwise
 from os import PathLike, fspath
-from typing import Any, NamedTuple, Protocol, Unpack
+from typing import IO, Any, NamedTuple, Protocol, TypeVar, Unpack
 
 import pyarrow as pa
 
@@ -21,6 +24,7 @@ from realtouch.touches import datasets, loading, schema, stored_round
 from tactile_toolkit import cards, catalog, checked_fields, errors, places, read, store, touch
 from tactile_toolkit.value_types import JsonObject
 
+T = TypeVar("T")
 Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
 Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
@@ -38,6 +42,7 @@ _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pages
 _MAX_ROWS_PER_SHARD = 64
+_IN_MEMORY_BYTES = 64 << 20  # of a file that is made before it is written
 _ROW_OPTIONS = ("split", "ids", "labels", "per_class", "limit")
 
 
@@ -208,6 +213,25 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
         if not folder.has_sha256(path, digests[path]):
             folder.write_bytes(path, content)
     return digests
+
+
+def write_stream(folder: store.DataFolder, path: str, fill: Callable[[IO[bytes]], T]) -> tuple[T, str]:
+    """Write a large file as :func:`write_changed` does; return what ``fill`` returns, and the checksum.
+
+    ``fill`` writes to a stream in which it may go back, which the streams of folders cannot.
+    """
+    with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as made:
+        filled = fill(made)
+        made.seek(0)
+        digest = hashlib.file_digest(made, "sha256").hexdigest()
+
+        def copy(target: IO[bytes]) -> None:
+            made.seek(0)  # it may be written again
+            shutil.copyfileobj(made, target)
+
+        if not folder.has_sha256(path, digest):
+            folder.write(path, copy)
+    return filled, digest
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,10 @@ bytes; ``metadata.json`` beside it has the spaces.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
 _FOLDER = "minari"
 _NAMESPACE = "tactile"
 _VERSION = "0.5.0"  # the first that stores encoded images
-_IN_MEMORY_BYTES = 64 << 20
 _POSE = list(touch_options.POSE_COLUMNS)
 
 
@@ -62,22 +59,15 @@ def _write_datasets(folder: store.DataFolder, manifest: store.Manifest) -> dict[
         home = f"{_FOLDER}/{_NAMESPACE}/{split}-v0/data"
         records = [record for record in manifest.shards_of(split) if record.rows]
         shards = [read.Shard(folder.address(record.shard.data_path)) for record in records]
-        with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as stream:
-            metadata = _write_episodes(stream, shards)
-            stream.seek(0)
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            if not folder.has_sha256(f"{home}/main_data.hdf5", digest):
-                stream.seek(0)
-                folder.write(f"{home}/main_data.hdf5", lambda target: shutil.copyfileobj(stream, target))
+        path = f"{home}/main_data.hdf5"
+        metadata, checksums[path] = conversion.write_stream(folder, path, partial(_write_episodes, shards))
         metadata["dataset_id"] = f"{_NAMESPACE}/{split}-v0"
         content = json.dumps(metadata).encode()
-        folder.write_bytes(f"{home}/metadata.json", content)
-        checksums[f"{home}/main_data.hdf5"] = digest
-        checksums[f"{home}/metadata.json"] = hashlib.sha256(content).hexdigest()
+        checksums |= conversion.write_changed(folder, {f"{home}/metadata.json": content})
     return checksums
 
 
-def _write_episodes(stream: IO[bytes], shards: Sequence[read.Shard]) -> JsonDict:
+def _write_episodes(shards: Sequence[read.Shard], stream: IO[bytes]) -> JsonDict:
     """Write the episodes of a split as HDF5; return the metadata."""
     import h5py  # the extra hdf5
 

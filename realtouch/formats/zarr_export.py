@@ -15,10 +15,7 @@ no place, are in further arrays.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import shutil
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -49,7 +46,6 @@ OUR_NAMES = {
 }
 """Names of columns of frames, as :data:`COLUMNS` states them."""
 _PICTURE = {exports.IMAGE, f"{exports.IMAGE}.bytes", f"{exports.IMAGE}.path"}
-_IN_MEMORY_BYTES = 64 << 20
 AddArrays = Callable[[exports.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
 
@@ -154,23 +150,15 @@ class GroupFormat:
     def _write_group(
         self, step: exports.Episodes, folder: store.DataFolder, manifest: store.Manifest
     ) -> dict[str, str]:
-        """Write the frames of all shards as a zipped group.
-
-        Returns the checksum of the file by its path; an unchanged file is not rewritten.
-        """
+        """Write the frames of all shards as a zipped group; return the checksum of the file by its path."""
         shards = [
             read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
         ]
         path = f"{self.folder}/touches.zarr.zip"
-        with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as made:
-            self._write(step, made, shards)
-            made.seek(0)
-            digest = hashlib.file_digest(made, "sha256").hexdigest()
-            if not folder.has_sha256(path, digest):
-                folder.write(path, lambda stream: _copy(made, stream))
+        _, digest = conversion.write_stream(folder, path, partial(self._write, step, shards))
         return {path: digest}
 
-    def _write(self, step: exports.Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+    def _write(self, step: exports.Episodes, shards: Sequence[read.Shard], stream: IO[bytes]) -> None:
         table = pa.concat_tables(
             [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
         )
@@ -228,11 +216,6 @@ def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) ->
             yield block
     if at:
         yield block[:at]
-
-
-def _copy(source: IO[bytes], target: IO[bytes]) -> None:
-    source.seek(0)
-    shutil.copyfileobj(source, target)
 
 
 def _numbers(values: pa.Array) -> AnyArray:

@@ -169,7 +169,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
 
     def decode_into(self, out: UInt8, touches: Sequence[int], *, threads: int = 1) -> None:
         """Decode several images into an array of their size, such as ``images_array`` gives."""
-        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
+        in_parallel(lambda index: self._item(touches[index], out[index]), len(touches), threads)
 
     def encoded(self, touch: int) -> memoryview:
         """Return the stored bytes of one image, without a copy; IntegrityError if no bytes are stored."""
@@ -184,15 +184,12 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
         with self.row.naming("sensor_image", touch):
             return image_size(self.encoded(touch))
 
-    def _item(self, index: int) -> UInt8:
-        return self._decode(index)
-
     def _several(self, index: Any) -> UInt8:
         return self.batch(index)
 
-    def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
-        with self.row.naming("sensor_image", touch):
-            return decode_image(self.encoded(touch), out)
+    def _item(self, index: int, out: UInt8 | None = None) -> UInt8:
+        with self.row.naming("sensor_image", index):
+            return decode_image(self.encoded(index), out)
 
 
 def encode_map(depth_m: Floating) -> bytes:
@@ -300,9 +297,6 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
     def __len__(self) -> int:
         return len(self._avi)
 
-    def _item(self, index: int) -> UInt8:
-        return self._decode(index)
-
     def _several(self, index: Any) -> UInt8:
         return self.frames(index)
 
@@ -328,7 +322,7 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
         frames = self.checked_indices(index)
         with self.row.naming("sensor_video", self.touch):
             pixels = images_array(len(frames), self.size)
-        in_parallel(lambda index: self._decode(frames[index], pixels[index]), len(frames), threads)
+        in_parallel(lambda index: self._item(frames[index], pixels[index]), len(frames), threads)
         return pixels
 
     def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
@@ -399,7 +393,7 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
         frame : int
             Which frame.
         """
-        self._decode(frame, out)
+        self._item(frame, out)
 
     @property
     def timestamps_s(self) -> Float64:
@@ -460,11 +454,11 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
             from torchcodec.decoders import VideoDecoder  # an extra
         return VideoDecoder(bytes(self.data))
 
-    def _decode(self, frame: int, out: UInt8 | None = None) -> UInt8:
+    def _item(self, index: int, out: UInt8 | None = None) -> UInt8:
         try:
-            return decode_image(self._avi.frame(frame), out)
+            return decode_image(self._avi.frame(index), out)
         except ValueError as error:
-            raise self.row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
+            raise self.row.damaged("sensor_video", f"frame {index}: {error}", self.touch) from error
 
     def __reduce__(self) -> tuple[object, ...]:
         return (TouchClip, (self.row, self.touch))

@@ -11,9 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from realtouch.convert import conversion
 from realtouch.convert.picture_files import id_of_stem, stem_of_id
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store import problem_of_name, sha256_hex
+from tactile_toolkit.store import open_folder, problem_of_name, sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 from tests.tactile_toolkit.toy import folder_bytes
@@ -198,3 +199,17 @@ def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path
     assert made[0] == 3  # the rounds of the train shard; that of the test split is whole
     assert folder_bytes(out) == whole
     assert realtouch.verify(out).ok
+
+
+def test_a_large_file_whose_draft_another_run_removes_is_whole(tmp_path: Path) -> None:
+    folder = open_folder(str(tmp_path))
+
+    def write(path: str, fill: Callable[[Any], object]) -> None:
+        for _ in range(2):  # as `write_file` does
+            with (tmp_path / path).open("wb") as stream:
+                fill(stream)
+
+    object.__setattr__(folder, "write", write)
+    written, digest = conversion.write_stream(folder, "large", lambda stream: stream.write(b"frames"))
+    assert (tmp_path / "large").read_bytes() == b"frames"
+    assert (written, digest) == (6, sha256_hex(b"frames"))
