@@ -22,6 +22,7 @@ from tactile_toolkit.value_types import Bool, UInt8
 
 _VIEW_PX = (760, 560)
 _PREVIEW = "-preview.png"
+_MANY_TRIANGLES = 300_000
 
 
 @dataclass(frozen=True)
@@ -215,6 +216,9 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
     if spec.base_mm is not None:
         width, depth = (side - 2 * mesh.BASE_MARGIN_MM for side in report.size_mm[:2])
         notes = (*notes, f"the drawing is {width:.1f} x {depth:.1f} mm, and its base plate is larger")
+    if report.faces > _MANY_TRIANGLES:
+        fewer = f"--vertices {_MANY_TRIANGLES // 4} makes fewer"
+        notes = (*notes, f"it has {report.faces:,} triangles, which slow slicers down; {fewer}")
 
     def record(_verdict: object, size: int, state: str) -> PrintedPicture:
         return PrintedPicture(str(path), f"{stem}{ending}", report, notes, size, state)

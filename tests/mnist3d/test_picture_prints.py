@@ -145,7 +145,10 @@ def test_a_base_plate_joins_the_parts_and_lies_flat() -> None:
 
 
 @pytest.mark.parametrize("further", [(), ("--thickness-mm", 5, "--edge-profile", "linear")])
-def test_all_parts_of_a_drawing_stand_on_the_plate(further: Any, tmp_path: Path, capsys: Any) -> None:
+def test_all_parts_of_a_drawing_stand_on_the_plate(
+    further: Any, tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    monkeypatch.setattr("mnist3d.picture_prints._MANY_TRIANGLES", 1_000)
     house().save(tmp_path / "house.png")
     out = tmp_path / "house.stl"
     command = ("mnist3d", "solidify", tmp_path / "house.png", "--out", out, "--height-mm", 60, *further)
@@ -154,9 +157,10 @@ def test_all_parts_of_a_drawing_stand_on_the_plate(further: Any, tmp_path: Path,
     assert found.lows_mm == (0.0,) * 6
     assert size_mm(mnist3d.read_mesh(out))[1:] == pytest.approx((60, 5 if further else 8), abs=1e-3)
     # The walls add no slivers, and even parts have few triangles.
-    assert len(mnist3d.read_mesh(out).faces) < 60_000
+    triangles = len(mnist3d.read_mesh(out).faces)
+    assert triangles < 60_000
+    assert f"it has {triangles:,} triangles, which slow slicers down; --vert" in capsys.readouterr().out
     assert not {"overhang", "small-contact", "floating-part"} & set(inspect(mnist3d.read_mesh(out)).warnings)
-    capsys.readouterr()
     assert call("mnist3d", "validate", out) == 0
     assert "--" not in capsys.readouterr().out.replace("---", "")
 
