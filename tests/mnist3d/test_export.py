@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import mnist3d
-from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.printing.file_export import PrintObject, choose
 
 
-@pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
-    folder = str(tmp_path_factory.mktemp("export") / "digits")
-    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=2)
-    mnist3d.generate(spec, folder, ("printed_test",))
-    return mnist3d.load(folder, "printed_test")
+@pytest.fixture
+def digits(digits_set: Path) -> mnist3d.DigitDataset:
+    return mnist3d.load(digits_set, "test")
 
 
 def chosen(digits: mnist3d.DigitDataset, **choice: object) -> list[PrintObject]:
-    return choose([("printed_test", digits)], **choice)  # type: ignore[arg-type]
+    return choose([("test", digits)], **choice)  # type: ignore[arg-type]
 
 
 def test_names_tell_split_class_and_id(digits: mnist3d.DigitDataset) -> None:
     names = [item.name for item in chosen(digits)]
-    assert names == [f"printed_test-{r.label}-{r.id:05d}" for r in digits]
-    assert len(set(names)) == 20
+    assert names == [f"test-{r.label}-{r.id:05d}" for r in digits]
+    assert len(set(names)) == 10
 
 
 def test_choosing_by_class_id_and_number(digits: mnist3d.DigitDataset) -> None:
     assert {item.label for item in chosen(digits, labels=["3", "7"])} == {"3", "7"}
-    some = digits.ids[[4, 11]].tolist()
+    some = digits.ids[[4, 8]].tolist()
     assert sorted(item.id for item in chosen(digits, ids=some)) == sorted(some)
     assert [item.id for item in chosen(digits, limit=3)] == digits.ids[:3].tolist()
     label = str(digits.labels[4])
@@ -38,7 +36,7 @@ def test_choosing_by_class_id_and_number(digits: mnist3d.DigitDataset) -> None:
 
 
 def test_missing_digits_are_named(digits: mnist3d.DigitDataset) -> None:
-    some = digits.ids[[4, 11]]
+    some = digits.ids[[4, 8]]
     items = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
     assert {item.id for item in items} == set(digits.ids.tolist())
     between = chosen(digits, ids=[(int(some.min()), int(some.max()))])
@@ -55,4 +53,4 @@ def test_missing_digits_are_named(digits: mnist3d.DigitDataset) -> None:
     with pytest.raises(InputError, match="no object is chosen"):
         chosen(digits, ids=[int(digits.ids[0])], labels=[label])
     with pytest.raises(InputError, match="two objects would be called"):
-        choose([("printed_test", digits), ("printed_test", digits)])
+        choose([("test", digits), ("test", digits)])

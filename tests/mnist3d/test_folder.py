@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mnist3d.sources import DigitSource
+from mnist3d.sources.digit_arrays import HwdPlusSource, MnistSource
 from mnist3d.sources.digit_source import NO_WRITER
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import natural_key
 from tests.jpegs import jpeg_of_scans
+from tests.mnist3d.mnist_files import bars, write
 from tests.mnist3d.sources import refusal
 from tests.real_input import SHARED, needs_shared
 
@@ -89,25 +91,18 @@ def test_every_set_of_names_has_one_order(names: list[str]) -> None:
 
 
 @pytest.mark.parametrize("digit_id", [-1, 1])
-def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
+@pytest.mark.parametrize("kind", [FolderSource, MnistSource, HwdPlusSource])
+def test_unknown_id(tmp_path: Path, kind: type[DigitSource], digit_id: int) -> None:
     save(tmp_path / "3" / "a.png")
+    write(tmp_path, images=bars(1)[0], labels=bars(1)[1])
+    np.save(tmp_path / "images.npy", bar()[None])
+    np.save(tmp_path / "labels.npy", [3])
+    paths = [tmp_path]
+    if kind is HwdPlusSource:
+        paths = [tmp_path / "images.npy", tmp_path / "labels.npy"]
     with pytest.raises(ItemError, match=f"found id {digit_id}, expected 0 to 0") as caught:
-        FolderSource(str(tmp_path)).image(digit_id)
+        kind(*map(str, paths)).image(digit_id)
     assert caught.value.reason == "unknown-id"
-
-
-@pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "tiff", "gif"])
-@pytest.mark.parametrize("light", [False, True])
-def test_black_on_white_is_unchanged(tmp_path: Path, suffix: str, light: bool) -> None:
-    save(tmp_path / "7" / f"a.{suffix}", 255 - bar() if light else bar())
-    np.testing.assert_array_equal(read(tmp_path), bar())
-    np.testing.assert_array_equal(read(tmp_path, "light" if light else "dark"), bar())
-
-
-@pytest.mark.parametrize("suffix", ["jpg", "jpeg", "webp"])
-def test_lossy_formats(tmp_path: Path, suffix: str) -> None:
-    save(tmp_path / "7" / f"a.{suffix}", quality=90)
-    assert ink_box(read(tmp_path)) == BOX
 
 
 @pytest.mark.parametrize(("paper", "ink"), [(60, 180), (180, 60)])

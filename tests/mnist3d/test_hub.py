@@ -7,18 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.digit_options import SolidSpec
-from mnist3d.sources.synthetic import SyntheticSource
 from tests.hub_server import hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 
 
 @pytest.fixture(scope="module")
-def repositories(tmp_path_factory) -> Path:
+def repositories(digits_set, tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("hub")
-    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
-    generate(spec, str(root / "someone" / "digits"), ("test", "holdout"))
+    shutil.copytree(digits_set, root / "someone" / "digits")
     return root
 
 

@@ -19,7 +19,7 @@ from mnist3d.ink.grey_levels import enlarge, fit
 from mnist3d.sources import DigitSource
 from mnist3d.sources.digit_arrays import MnistSource, download_mnist
 from mnist3d.sources.digit_source import NO_WRITER
-from tactile_toolkit.errors import ItemError, MissingExtraError, RemoteError
+from tactile_toolkit.errors import MissingExtraError, RemoteError
 from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal
 from tests.real_input import SHARED, needs_shared
@@ -66,14 +66,6 @@ def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
         np.testing.assert_array_equal(digit.pixels, alone.pixels)
 
 
-@pytest.mark.parametrize("digit_id", [-1, 4])
-def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
-    write(tmp_path)
-    with pytest.raises(ItemError, match=f"found id {digit_id}, expected 0 to 3") as caught:
-        MnistSource(str(tmp_path)).image(digit_id)
-    assert caught.value.reason == "unknown-id"
-
-
 def test_ink_is_dark_and_where_it_was(tmp_path: Path) -> None:
     write(tmp_path)
     pixels = MnistSource(str(tmp_path)).image(2).pixels
@@ -87,32 +79,23 @@ def test_ink_is_dark_and_where_it_was(tmp_path: Path) -> None:
     np.testing.assert_allclose([columns.min(), columns.max() + 1], [12 * scale, 16 * scale], atol=4)
 
 
-def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:
-    write(tmp_path / "a")
-    write(tmp_path / "b", end=".gz")
-    write(tmp_path / "c", labels=bars(4, 99)[1])
-    a, b, c = (MnistSource(str(tmp_path / name)).fingerprint() for name in "abc")
-    assert a == b != c
-    assert str(tmp_path) not in repr(a)
-
-
-def test_compression_is_detected_by_content(tmp_path: Path) -> None:
+def test_the_fingerprint_follows_from_the_content_alone(tmp_path: Path) -> None:
     for name in "abc":
         write(tmp_path / name, end=".gz" if name == "b" else "")
+    write(tmp_path / "d", labels=bars(4, 99)[1])
+    # Compression is detected by the content, not by the name.
     plain, packed = (tmp_path / "b" / name_of("test", "labels", end=end) for end in ("", ".gz"))
     packed.rename(plain)
     for path in (tmp_path / "c").iterdir():
         path.rename(f"{path}.gz")
-    a, b, c = (MnistSource(str(tmp_path / name)).fingerprint() for name in "abc")
-    assert a == b == c
-
-
-def test_no_folder(tmp_path: Path) -> None:
-    message = refusal(MnistSource(str(tmp_path / "no")))
-    assert message.startswith(f"{tmp_path}/no: found no folder, expected train-images-idx3-ubyte")
+    a, b, c, d = (MnistSource(str(tmp_path / name)).fingerprint() for name in "abcd")
+    assert a == b == c != d
+    assert str(tmp_path) not in repr(a)
 
 
 def test_a_folder_without_files_of_mnist(tmp_path: Path) -> None:
+    absent = refusal(MnistSource(str(tmp_path / "no")))
+    assert absent.startswith(f"{tmp_path}/no: found no folder, expected train-images-idx3-ubyte")
     (tmp_path / "notes.txt").touch()
     message = refusal(MnistSource(str(tmp_path)))
     assert "found ['notes.txt'], expected train-images-idx3-ubyte or the same with .gz" in message
