@@ -28,6 +28,7 @@ from tests.command_line import call
 from tests.real_input import SHARED, needs_shared
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.test_partial_damage import spoil_pages
 
 SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
 Rows = dict[str, list[dict[str, Any]]]
@@ -378,11 +379,7 @@ def test_damaged_rows_do_not_hide_the_others(tmp_path: Path) -> None:
     rows = {"train": factories.single_rows(truth)}
     folder = factories.write_set(tmp_path, rows, "single", Layout(group_rows=1))
     file = next((folder / "data").glob("train-*"))
-    column = pq.ParquetFile(file).metadata.row_group(1).column(0)
-    content = bytearray(file.read_bytes())
-    start = column.data_page_offset
-    content[start : start + column.total_compressed_size] = bytes(column.total_compressed_size)
-    file.write_bytes(content)
+    spoil_pages(file, 1, "id")
     findings = {each.rule: each.touches for each in realtouch.check(folder).findings}
     assert findings["unreadable-touches"] == ("row 1:0-0",)
     assert findings["swapped-channels"] == (f"{truth[2].id}:0", f"{truth[2].id}:1")

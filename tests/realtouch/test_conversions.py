@@ -216,15 +216,11 @@ def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path
     ]
 
 
-def conversions(source: str, out: str, runner: Any) -> None:
-    realtouch.clips_to_images(source, out, workers=runner)
-
-
 @pytest.mark.thorough
 def test_workers_and_interruptions_change_no_byte(seq_folder, tmp_path, monkeypatch):
     monkeypatch.setattr("realtouch.convert.media_conversions._CONTACT_FRAME_ROWS", 1)
-    conversions(str(seq_folder), str(tmp_path / "a"), 1)
-    conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
+    realtouch.clips_to_images(seq_folder, tmp_path / "a")
+    realtouch.clips_to_images(seq_folder, tmp_path / "b", workers=ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
 
     class StoppedError(Exception):
@@ -323,5 +319,3 @@ def test_selection_by_class_and_ranges_of_objects(tmp_path: Path) -> None:
     assert call("tactile", "select", tmp_path / "all", "--ids", f"{first}-{last}", *out) == 0
     some = realtouch.load(tmp_path / "some").int_column("object_id")
     assert sorted(some.tolist()) == objects[2:5]
-    with pytest.raises(InputError, match="per_class of the rows is 0; expected an integer of at least 1"):
-        realtouch.select(tmp_path / "all", tmp_path / "none", per_class=0)

@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-import starstruck_gen
 import tactile_sim
 from realtouch.touch_gallery import plan_gallery
 from realtouch.touch_previews import CONTACT, draw_grid
@@ -32,15 +31,7 @@ pytestmark = pytest.mark.sim
 PRESS_M = 0.002125
 
 
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    """Three scenes of objects 5 mm high."""
-    folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), str(folder))
-    return str(folder)
-
-
-def _made(scenes: str, folder: Path, place: str) -> Path:
+def _made(scenes: Path, folder: Path, place: str) -> Path:
     plan = tactile_sim.TouchPlan(1, 12, place, seed=3)
     spec = tactile_sim.TouchSetSpec((32, 24), "depth", plan=plan, image_format="png")
     tactile_sim.generate(scenes, spec, folder, ["train"])

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+import realtouch
 import tactile_sim
 from tactile_sim.optics.sensor_noise import EpisodeNoise, add_noise
 from tactile_toolkit.errors import InputError
@@ -114,13 +115,8 @@ def test_rounds_have_the_requested_spread_of_gain_and_offset():
 
 
 @pytest.mark.sim
-def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
+def test_sets_have_noise_of_their_own_for_each_touch(scenes, tmp_path):
     pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
-    import realtouch
-    import starstruck_gen
-
-    scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), scenes)
     # All touches are of the bare plate, so differences are noise.
     given = tactile_sim.TouchTable(
         [0.0] * 3, [0.0] * 3, object_x_m=[0.5] * 3, object_y_m=[0.5] * 3, object_turn_rad=[0.0] * 3

@@ -22,6 +22,7 @@ from tactile_toolkit.store import Skipped
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tests.command_line import call
 from tests.mutations import mutated
+from tests.small_sets import write_scenes
 from tests.tactile_sim.solids import ball, block
 
 pytestmark = pytest.mark.sim
@@ -166,9 +167,7 @@ def test_invalid_sources_are_refused_before_anything_is_written(tmp_path: Path) 
 
 
 def test_a_folder_with_a_data_set_is_not_a_folder_of_meshes(tmp_path: Path) -> None:
-    import starstruck_gen
-
-    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 1),)), tmp_path)
+    write_scenes(tmp_path)
     write(tmp_path / "prints" / "part.stl")
     assert TouchGenerator.of(tmp_path, depth()).source["train"].label_names == ("1", "2", "3")
 

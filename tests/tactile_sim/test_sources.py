@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import starstruck_gen
 import tactile_sim
 from tactile_sim.sets.pairs import make_pairs
 from tactile_sim.sets.set_options import PairSetSpec
@@ -20,13 +19,6 @@ pytestmark = pytest.mark.sim
 SPEC = tactile_sim.TouchSetSpec(
     (32, 24), "depth", plan=tactile_sim.TouchPlan(4, 8, "object", seed=3), image_format="png"
 )
-
-
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), str(folder))
-    return folder
 
 
 @pytest.fixture(scope="module")

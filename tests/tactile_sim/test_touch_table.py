@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import realtouch
 import tactile_sim
 from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.errors import InputError
@@ -74,12 +75,7 @@ def test_a_round_has_the_given_touches():
 
 
 @pytest.mark.sim
-def test_a_set_holds_the_rounds_that_are_given(tmp_path):
-    import realtouch
-    import starstruck_gen
-
-    scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
+def test_a_set_holds_the_rounds_that_are_given(scenes, tmp_path):
     spec = tactile_sim.TouchSetSpec(
         optics="depth",
         plan=tactile_sim.TouchPlan(positions="given", touch_table=tactile_sim.TouchTable(**TABLE)),
