@@ -19,6 +19,7 @@ from tests.realtouch.images_of_others import line, picture, write_table
 
 EXPORTED = ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch")
 FRAME = ((0.0, -1.0, 0.0, 0.01), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+AT_A_DESK = ("folder", "video", "lerobot")  # single pictures, recordings, and recordings with columns
 NO = "nosuch"
 COLUMNS: dict[str, Any] = {
     "image": NO,
@@ -108,7 +109,10 @@ def test_every_option_and_format_is_tried() -> None:
 
 
 @pytest.mark.parametrize("group", ["spec", "columns", "alignment"])
-@pytest.mark.parametrize("layout", IMPORTS)
+@pytest.mark.parametrize(
+    "layout",
+    [each if each in AT_A_DESK else pytest.param(each, marks=pytest.mark.thorough) for each in IMPORTS],
+)
 def test_an_option_changes_the_import_or_is_refused(
     layout: str, group: str, source_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
