@@ -9,7 +9,6 @@ the file and decoded one by one.
 
 from __future__ import annotations
 
-import io
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -19,7 +18,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import pyarrow as pa
 from numpy.typing import DTypeLike
-from PIL import Image
 
 from realtouch import contact
 from realtouch.touches import schema, stored_round
@@ -28,8 +26,8 @@ from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import (
-    MAX_IMAGE_PIXELS,
     MEDIA_TYPE,
+    decode_grey,
     decode_image,
     encode_image,
     image_size,
@@ -52,7 +50,6 @@ DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
 """Columns of the maps of a round of images, with an entry for each touch."""
 SUFFIX = "png"
 _PER_M, _MOST = 1e6, 65_535
-_MODES = ("I;16", "I;16B")
 _SHOWN_FRAMES = 8
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
 
@@ -207,18 +204,7 @@ def encode_map(depth_m: Floating) -> bytes:
 
 def decode_map(data: memoryview | bytes) -> Float32:
     """Decode a depth map, shape (H, W), float32, metres; ValueError for any other file."""
-    try:
-        image = Image.open(io.BytesIO(data), formats=["PNG"])
-        is_depth = image.mode in _MODES and image.width * image.height <= MAX_IMAGE_PIXELS
-        counts = np.asarray(image) if is_depth else None
-    except Exception as error:  # Pillow raises many kinds on damaged files
-        raise ValueError("a depth map that cannot be decoded; expected a PNG of 16 bits") from error
-    if counts is None:
-        raise ValueError(
-            f"{image.width} x {image.height} pixels ({image.mode}); expected a grey PNG of 16 bits and "
-            f"at most {MAX_IMAGE_PIXELS:,} pixels"
-        )
-    return counts.astype(np.float32) / np.float32(_PER_M)
+    return decode_grey(data).astype(np.float32) / np.float32(_PER_M)
 
 
 class DepthMaps(_StoredMedia[Float32, Float32]):

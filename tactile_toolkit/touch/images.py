@@ -71,6 +71,7 @@ _STATED_BITS = {
     "HEIF": re.compile(rb"pixi\0{4}.(.)", re.DOTALL),
 }
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+_GREY_MODES = ("I;16", "I;16B", "I")
 _MAX_LEVEL = 255
 _TURNED = range(2, 9)
 _TURNED_BY_READERS = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
@@ -265,6 +266,19 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None, *, least_px
         return pixels
     out[...] = pixels
     return out
+
+
+def decode_grey(data: memoryview | bytes) -> AnyArray:
+    """Decode a grey PNG of 16 bits, such as a depth map: shape (H, W), integers; ValueError for others."""
+    expected = f"expected a grey PNG of 16 bits and at most {MAX_IMAGE_PIXELS:,} pixels"
+    try:
+        image = Image.open(io.BytesIO(data), formats=["PNG"])
+        found = f"{image.width} x {image.height} pixels of mode {image.mode}"
+        if image.mode in _GREY_MODES and image.width * image.height <= MAX_IMAGE_PIXELS:
+            return np.asarray(image)
+    except Exception as error:  # Pillow raises many kinds on damaged files
+        raise ValueError(f"an image that cannot be decoded; {expected}") from error
+    raise ValueError(f"an image of {found}; {expected}")
 
 
 def _open_image(data: memoryview | bytes) -> Image.Image:

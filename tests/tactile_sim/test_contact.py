@@ -115,7 +115,7 @@ def test_depth_survives_its_picture(monkeypatch):
     assert np.abs(decode_depth(encode_depth(image)) - image).max() < 1e-5
     level = decode_depth(encode_depth(np.zeros((4, 4), np.float32)))
     assert (level == 1).all()  # a level surface counts as no contact
-    monkeypatch.setattr("tactile_toolkit.touch.MAX_IMAGE_PIXELS", 10_000)
+    monkeypatch.setattr("tactile_toolkit.touch.images.MAX_IMAGE_PIXELS", 10_000)
     for other, words in (
         (b"no picture", "expected a grey PNG"),
         (encode_image(image.astype(np.uint8), "png"), "mode L"),
@@ -139,7 +139,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     depth = Domain(ShardedTable(open_place(str(tmp_path)).shards("depth")), True, (32, 24))
     for row, text in (
         (0, f"{file.name}', row 0: an image of 24 x 32 pixels; expected .32, 24. as in the manifest"),
-        (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile verify`"),
+        (1, f"{file.name}', row 1: an image that cannot be decoded; expected a grey PNG .*next: run `tactile verify`"),
     ):
         with pytest.raises(IntegrityError, match=text):
             depth.image(row)
