@@ -152,8 +152,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     Raises IntegrityError if a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
-    spec = manifest.spec["source_spec"] if manifest.is_copy else manifest.spec
-    words = source_words("copy" if spec is None else str(spec["source"]["name"]))
+    spec = manifest.made_by
+    words = source_words(str(spec["source"]["name"]) if spec else "copy")
     # Digits of a folder of pictures are not MNIST 3D.
     is_own = words["name"] == FolderSource.name
     if manifest.is_copy:

@@ -35,7 +35,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     if manifest.is_copy:
         licence = "mit"
         text = "MIT, as the toolkit."
-        if manifest.spec["source_spec"] is None:
+        if not manifest.made_by:
             licence = "other"
             text = "The terms of the data set that these rows come from."
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}

@@ -389,8 +389,8 @@ class SceneRecord(pictures.DrawnSolid):
 
 def _stored_cell_m(row: read.Row) -> tuple[float, float]:
     """Return the cell of the specification beside the file of a row; without one, the published cell."""
-    manifest = catalog.manifest_beside(row.path)
-    made_by = {} if manifest is None else manifest.spec.get("source_spec", manifest.spec) or {}
+    manifest = read.Shard(row.path).manifest()
+    made_by = {} if manifest is None else manifest.made_by
     with catalog.specification_read(row.path):
         width_m, depth_m = made_by.get("scene", {}).get("cell_m", touch.CELL_M)
     return width_m, depth_m

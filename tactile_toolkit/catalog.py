@@ -335,15 +335,6 @@ def specification_read(address: str) -> Iterator[None]:
         raise store.damaged_error(address, problem) from error
 
 
-def manifest_beside(path: str) -> store.Manifest | None:
-    """Return the manifest of the data set folder of a file; None if there is none."""
-    data, _ = store.split_uri(path)
-    folder, name = store.split_uri(data.address())
-    if name == store.DATA_FOLDER:
-        return store.manifest_so_far(folder)
-    return None
-
-
 def short_name(name: str) -> str:
     """Return the name of a data set without its parent folders, which a published page must not show."""
     path = store.local_path(name)

@@ -22,7 +22,7 @@ from realtouch.checks.sections import PlacedRow, RoundFacts, Section, TouchFacts
 from realtouch.touch_options import CheckLimits
 from realtouch.touches import damage, datasets, loading, schema, stored_round
 from realtouch.touches.rounds import TouchSingleRound
-from tactile_toolkit import catalog, errors, pictures, places, read, run, wording
+from tactile_toolkit import errors, pictures, places, read, run, wording
 from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
 
 MAX_PICTURES = 1_000_000
@@ -118,7 +118,7 @@ def _sections_of(
     shards = [shard for of_split in files.values() for shard in of_split]
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_MIN_FRAMES, MAX_PICTURES // max(touches, 1))
-    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0].path)) == "synthetic"
+    is_rendered = schema.origin_of(shards[0].schema, shards[0].manifest()) == "synthetic"
     check = partial(check_section, limits=limits, frames=frames, is_rendered=is_rendered)
     return touches, run.in_threads(check, _in_sections(_placed_rows(files, damaged)), workers)
 

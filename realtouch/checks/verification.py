@@ -13,7 +13,7 @@ from functools import partial
 from realtouch import kind
 from realtouch.convert import conversion, picture_files
 from realtouch.touches import damage, loading, media, schema, stored_round
-from tactile_toolkit import cards, catalog, errors, places, read, run, store, wording
+from tactile_toolkit import cards, errors, places, read, run, store, wording
 from tactile_toolkit.touch import decode_image, image_size
 
 INDEXED = ("frames", "export")
@@ -280,7 +280,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     None if rounds may differ: if there is no such T, or if the set has a manifest. Imported and selected
     rounds differ in length, and the manifest has their checksums.
     """
-    if shards and catalog.manifest_beside(shards[0].path) is not None:
+    if shards and shards[0].manifest() is not None:
         return None
     counts: Counter[int] = Counter()
     for shard in shards:

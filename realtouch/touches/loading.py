@@ -19,7 +19,7 @@ import pyarrow as pa
 from realtouch import contact, kind
 from realtouch.touches import damage, datasets, schema
 from realtouch.touches.schema import ContactSource
-from tactile_toolkit import catalog, errors, places, read, run, store, wording
+from tactile_toolkit import errors, places, read, run, store, wording
 from tactile_toolkit.touch import CELL_M
 
 _NAMES_SHOWN = 12
@@ -224,7 +224,7 @@ class Source:
 
     def manifest(self) -> store.Manifest | None:
         """Return the manifest next to the shards, if any."""
-        return catalog.manifest_beside(next(iter(self.shards.values()))[0].path)
+        return next(iter(self.shards.values()))[0].manifest()
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""

@@ -105,7 +105,7 @@ class Place:
     @property
     def made_by(self) -> JsonObject:
         """Specification by which the rows were first made, also of a copy; empty if it is not known."""
-        return self.spec.get("source_spec", self.spec) or {}
+        return {} if self.manifest is None else self.manifest.made_by
 
     @property
     def unfinished(self) -> str:

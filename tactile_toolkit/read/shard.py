@@ -360,6 +360,14 @@ class Shard:
         named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
         return repr(named[-1]), self.split
 
+    def manifest(self) -> store.Manifest | None:
+        """Read the manifest of the data set folder of the file; None if there is none."""
+        data, _ = store.split_uri(self.path)
+        folder, name = store.split_uri(data.address())
+        if name == DATA_FOLDER:
+            return store.manifest_so_far(folder)
+        return None
+
     @property
     def is_remote(self) -> bool:
         """Whether the path is an address."""

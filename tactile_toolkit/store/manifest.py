@@ -292,6 +292,11 @@ class Manifest:
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @property
+    def made_by(self) -> JsonObject:
+        """Specification by which the rows were first made, also of a copy; empty if it is not known."""
+        return self.spec.get("source_spec", self.spec) or {}
+
+    @property
     def is_copy(self) -> bool:
         """Whether it is that of a copy, which states its source, not how rows are made."""
         return kind.is_copy(self)
