@@ -1,8 +1,9 @@
 """Speed of exports to other formats and of imports from them, in processor time of one core.
 
-A plain script is measured in the same run, in turn. For an export, it reads rows with pyarrow and writes each
-image as a file, as it is stored. For an import, it verifies each image with Pillow, reads its values from a
-table or JSON, and writes all with pyarrow as one Parquet file.
+A plain script is measured in the same run, in turn. For an export, it reads rounds with pyarrow, and writes
+a row for each touch with image, label, position and pose: as Parquet, or as tars by `webdataset`. For an
+import, it verifies each image with Pillow, reads its values from a table or JSON, and writes all with pyarrow
+as one Parquet file. The limit is reading alone.
 
     python benchmarks/exchange.py [--rounds 100]
 """
@@ -20,15 +21,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from itertools import islice
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from figures import tell
+from plain_ways import touch_rows
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 TOUCHES = 256
-BY_HAND_ROUNDS = 4
+ROUNDS_AT_ONCE = 4
 TURNS = 3
 
 Job = tuple[Callable[[Path], Any], int]
@@ -47,19 +49,49 @@ def per_second(jobs: Iterable[Job], home: Path) -> list[float]:
     return list(map(statistics.median, rates))
 
 
-def export_by_hand(source: Path, out: Path) -> None:
-    """Write each image of some rounds as a file, as a script would."""
+def rounds_of(source: Path) -> Iterator[Any]:
+    """Yield what an export needs of some rounds at a time."""
     import pyarrow.parquet as pq
 
-    batches = (
-        batch
-        for file in sorted((source / "data").glob("*.parquet"))
-        for batch in pq.ParquetFile(file).iter_batches(1, columns=["id", "sensor_image"])
-    )
-    for batch in islice(batches, BY_HAND_ROUNDS):
-        for record in batch.to_pylist():
-            for touch, image in enumerate(record["sensor_image"]):
-                (out / f"{record['id']}_{touch}.jpg").write_bytes(image["bytes"])
+    poses = [f"gel_pose_cell_frame.{name}" for name in ("position", "quaternion")]
+    columns = ["id", "label", "object_id", "pos_in_cell", *poses, "sensor_image"]
+    for file in sorted((source / "data").glob("*.parquet")):
+        yield from pq.ParquetFile(file).iter_batches(ROUNDS_AT_ONCE, columns=columns)
+
+
+def read_alone(source: Path, _: Path) -> None:
+    for _batch in rounds_of(source):
+        pass
+
+
+def to_parquet(source: Path, out: Path) -> None:
+    """Write a row for each touch as Parquet, as a script would."""
+    import pyarrow.parquet as pq
+
+    tables = map(touch_rows, rounds_of(source))
+    first = next(tables)
+    with pq.ParquetWriter(
+        out / "touches.parquet", first.schema, compression="zstd", use_dictionary=False
+    ) as file:
+        for table in chain([first], tables):
+            file.write_table(table)
+
+
+def to_tars(source: Path, out: Path) -> None:
+    """Write image and JSON of each touch to a tar, as a script would."""
+    import webdataset
+
+    with webdataset.TarWriter(str(out / "touches.tar")) as tar:
+        for table in map(touch_rows, rounds_of(source)):
+            for row in table.to_pylist():
+                image, key = row.pop("image"), f"{row['id']}_{row['touch']}"
+                tar.write({"__key__": key, "jpg": image["bytes"], "json": row})
+
+
+def files_alone(source: Path, _: Path) -> None:
+    for path in source.rglob("*"):
+        if path.is_file():
+            path.read_bytes()
 
 
 def in_table(source: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
@@ -129,27 +161,34 @@ COMMANDS = {
 }
 
 
-def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[Job, Job]]:
-    """Return jobs by name, each with that of the plain script."""
+def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[str, list[Job]]]:
+    """Return jobs by name: what the plain script uses; the export or import, the script, and the limit."""
     import realtouch
 
     realtouch.export(source, exported, "webdataset")
     realtouch.frames(source, exported / "images", "jpeg")
     tars, images = exported / "webdataset", exported / "images"
 
-    def exporting(layout: Any) -> tuple[Job, Job]:
-        by_hand = partial(export_by_hand, source), BY_HAND_ROUNDS * TOUCHES
-        return (lambda out: realtouch.export(source, out / "set", layout), touches), by_hand
+    def exporting(layout: Any, way: str, plain: Callable[[Path, Path], None]) -> tuple[str, list[Job]]:
+        runs = (
+            lambda out: realtouch.export(source, out / "set", layout),
+            partial(plain, source),
+            partial(read_alone, source),
+        )
+        return way, [(run, touches) for run in runs]
 
-    def importing(layout: Any, folder: Path, samples: Any) -> tuple[Job, Job]:
-        by_hand = partial(import_by_hand, partial(samples, folder)), touches
-        return (
+    def importing(layout: Any, folder: Path, samples: Any) -> tuple[str, list[Job]]:
+        runs = (
             lambda out: realtouch.import_touches(folder, out / "set", realtouch.ImportSpec(layout)),
-            touches,
-        ), by_hand
+            partial(import_by_hand, partial(samples, folder)),
+            partial(files_alone, folder),
+        )
+        return "Pillow and `pyarrow`", [(run, touches) for run in runs]
 
     return {
-        **{layout: exporting(layout) for layout in ("flat", "webdataset", "lerobot")},
+        "flat": exporting("flat", "`pyarrow`", to_parquet),
+        "webdataset": exporting("webdataset", "`pyarrow` and `webdataset`", to_tars),
+        "lerobot": exporting("lerobot", "`pyarrow`, rows without statistics", to_parquet),
         "import_folder": importing("folder", images, in_table),
         "import": importing("webdataset", tars, in_tars),
     }
@@ -165,13 +204,13 @@ def main() -> None:
         for size in ((64, 64), (320, 240)):
             name = f"{size[0]}x{size[1]}"
             source, touches = make_set(home / name, size, options.rounds), options.rounds * TOUCHES
-            for what, jobs in jobs_of(source, home / f"exported-{name}", touches).items():
+            for what, (way, jobs) in jobs_of(source, home / f"exported-{name}", touches).items():
                 if what not in options.only:
                     continue
-                rate, rate_by_hand = per_second(jobs, home)
+                ours_s, plain_s, read_s = (1 / rate for rate in per_second(jobs, home))
                 tell(
-                    f"{what}_{size[0]}", f"a touch, `{COMMANDS[what]}`, {name}; by hand", 1 / rate, "s",
-                    other=1 / rate_by_hand,
+                    f"{what}_{size[0]}", f"a touch, `{COMMANDS[what]}`, {name}", ours_s, "s",
+                    statistic=f"median of {TURNS}", plain=(plain_s, way), limit=(read_s, "reading alone"),
                 )  # fmt: skip
 
 

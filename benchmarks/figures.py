@@ -1,8 +1,9 @@
 """The figures that the benchmarks report: kept with date, machine and versions, written into the documents.
 
 A benchmark calls :func:`tell` for each figure. ``benchmarks/run`` runs the benchmarks, keeps what they report
-in ``results.json`` and writes the tables between ``<!-- figures: NAME -->`` and ``<!-- end -->`` in README.md
-and benchmarks/README.md. A table whose code has changed since it was measured says so.
+in ``results.json`` and writes what stands between ``<!-- figures: NAME -->`` and ``<!-- end -->`` in the
+pages: a table, or a figure within a sentence, such as ``scale.nodes``. The table of all figures says which
+code has changed since it was measured.
 """
 
 from __future__ import annotations
@@ -27,7 +28,12 @@ from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results.json"
-DOCUMENTS = (ROOT / "README.md", ROOT / "benchmarks" / "README.md")
+DOCUMENTS = (
+    ROOT / "README.md",
+    ROOT / "benchmarks" / "README.md",
+    *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_generated" not in path.parts),
+)
+"""Pages that may show figures."""
 FIGURES_FILE = "BENCHMARK_FIGURES"
 LIBRARIES = ("numpy", "pyarrow", "scikit-image", "manifold3d", "trimesh", "datasets", "tactile-mnist", "ray")
 
@@ -35,7 +41,7 @@ LIBRARIES = ("numpy", "pyarrow", "scikit-image", "manifold3d", "trimesh", "datas
 # of processor time before its first task, and 0.6 s with them.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-_PLACE = re.compile(r"\{([^}]+)\}")
+_SHOWN_FIGURES = re.compile(r"(<!-- figures: (\S+) -->).*?(<!-- end -->)", re.DOTALL)
 _UNITS = {
     "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
     "bytes": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "bytes")),
@@ -104,53 +110,64 @@ BENCHMARKS = {
         )
     ),
     "elastic": Benchmark(("tactile_sim/elastic",)),
+    "loop": Benchmark(("tactile_sim/loop", "tactile_sim/mujoco.py", "tactile_sim/elastic")),
     "training_order": Benchmark(("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
 }
 
 SHOWN = (
-    ("drawing, making, checking and writing a digit", "{pipeline.plain_mean} on one core, {pipeline.bytes}",
-     "a plain implementation (`benchmarks/plain_digit.py`): {pipeline.plain_mean:ratio} slower"),
-    ("one random real touch, 64x64", "{real_touches.random_touch_64x64}",
-     "`tactile_mnist`: {real_touches.random_touch_64x64:ratio} slower"),
-    ("a step of one of 16 environments, depth, 64x64", "{native_environments.depth_16}",
-     "`tactile_mnist`, software OpenGL on a CPU: {native_environments.depth_16:ratio} slower"),
-)  # fmt: skip
-"""The table of README.md: what, measured, compared with; figures by their names."""
+    ("pipeline.plain_mean", "a digit drawn, made, checked and written"),
+    ("pipeline.load", "a mesh at random, cached"),
+    ("real_touches.random_touch_64x64", "a real touch at random, 64x64, cached"),
+    ("touches.single_64", "a simulated touch, depth, 64x64"),
+    ("native_environments.depth_16", "a step of one of 16 environments, depth, 64x64"),
+)
+"""The table of README.md: figures by their names, and what they are of."""
 
 COMPARED = (
-    ("pipeline.plain_mean", "digit, written, mean", "plain"),
-    ("pipeline.workers", "1,200 digits, two workers", "one worker"),
-    ("pipeline.load", "mesh at random", ""),
-    ("pipeline.cold", "mesh, first pass", ""),
-    ("starstruck.scene", "scene", ""),
-    ("real_touches.random_touch_64x64", "touch at random, 64x64", ""),
-    ("real_touches.random_touch_320x240", "touch at random, 320x240", ""),
-    ("real_touches.full_pass_320x240_per_image", "touch in stored order, 320x240", ""),
-    ("real_touches.random_frame_of_a_random_clip", "frame of a clip at random", ""),
-    ("real_touches.whole_clip_one_thread", "clip, one thread", ""),
-    ("real_touches.contact_frames_of_a_round_default_threads_", "contact frames of a round", ""),
-    ("real_touches.all_poses_of_a_round_as_arrays", "poses of a round", ""),
-    ("training_order.training_datasets", "touch in training order", "`datasets`"),
-    ("exchange.flat_320", "touch exported, `flat`", "by hand"),
-    ("exchange.lerobot_320", "touch exported, `lerobot`", "by hand"),
-    ("exchange.import_320", "touch imported, `webdataset`", "by hand"),
-    ("touches.depth_64", "synthetic touch, depth", ""),
-    ("touches.taxim_64", "synthetic touch, Taxim", ""),
-    ("twin_speed.image", "image of a twin, 320x240", "Taxim"),
-    ("elastic.press", "press of an elastic gel, 5 N", "plain, double precision"),
-    ("learned_optics.float32_1", "image by CycleGAN, 1 at a time", ""),
-    ("learned_optics.float32_16", "image by CycleGAN, 16 at a time", ""),
-    ("learned_optics.bfloat16_16", "image by CycleGAN, 16 at a time, bfloat16", ""),
-    ("learned_optics.inverse_4", "depth read from an image, 4 at a time", ""),
-    ("native_environments.depth_1", "step, depth, 1 environment", ""),
-    ("native_environments.depth_16", "step, depth, 16 environments", ""),
-    ("native_environments.Taxim_1", "step, Taxim, 1 environment", ""),
-    ("native_environments.Taxim_64", "step, Taxim, 64 environments", ""),
-    ("height_maps.made", "height map, 0.2 mm", "by triangle"),
-    ("scale.nodes", "600 digits, two Ray nodes", "two local processes"),
-)  # fmt: skip
-"""The table of benchmarks/README.md: figures by their names, what they are of, and what the other one is."""
+    ("pipeline.plain_mean", "digit drawn, made, checked, written"),
+    ("pipeline.workers", "1,200 digits, two workers"),
+    ("pipeline.load", "mesh at random, cached"),
+    ("pipeline.cold", "mesh at random, first pass"),
+    ("starstruck.scene", "scene, 1,000 at a time"),
+    ("starstruck.single", "scene alone, as trimesh"),
+    ("real_touches.random_touch_64x64", "touch at random, 64x64, cached"),
+    ("real_touches.random_touch_320x240", "touch at random, 320x240, cached"),
+    ("real_touches.full_pass_320x240_per_image", "touch in stored order, 320x240, cached"),
+    ("real_touches.random_frame_of_a_random_clip", "frame of a clip at random, cached"),
+    ("real_touches.whole_clip_one_thread", "clip at random, one thread, cached"),
+    ("real_touches.contact_frames_of_a_round_one_thread", "contact frames of a round, 256, one thread"),
+    ("real_touches.all_poses_of_a_round_as_arrays", "poses of a round, cached"),
+    ("training_order.training_datasets", "touch in training order, batches of 64, cached"),
+    ("training_order.training_memory", "the same"),
+    ("exchange.flat_320", "touch exported, `flat`"),
+    ("exchange.webdataset_320", "touch exported, `webdataset`"),
+    ("exchange.lerobot_320", "touch exported, `lerobot`"),
+    ("exchange.import_folder_320", "touch imported, `folder`"),
+    ("exchange.import_320", "touch imported, `webdataset`"),
+    ("touches.depth_64", "synthetic touch, depth, 32 a call"),
+    ("touches.single_64", "synthetic touch, depth, 1 a call"),
+    ("touches.taxim_64", "synthetic touch, Taxim, 16 a call"),
+    ("twin_speed.image", "image of a twin, 320x240, 16 a call"),
+    ("elastic.press_rough", "press of an elastic gel, 5 N"),
+    ("elastic.press", "press of an elastic gel, 5 N, no friction"),
+    ("learned_optics.float32_1", "image by CycleGAN, 1 a call"),
+    ("learned_optics.float32_16", "image by CycleGAN, 16 a call"),
+    ("learned_optics.bfloat16_16", "image by CycleGAN, 16 a call, bfloat16"),
+    ("learned_optics.inverse_4", "depth read from an image, 4 a call"),
+    ("native_environments.depth_1", "step, depth, 1 environment"),
+    ("native_environments.depth_16", "step, depth, 16 environments"),
+    ("native_environments.Taxim_1", "step, Taxim, 1 environment"),
+    ("native_environments.Taxim_64", "step, Taxim, 64 environments"),
+    ("native_environments.start_depth_1", "start of an episode, 1 environment"),
+    ("native_environments.start_depth_16", "start of an episode, 16 environments"),
+    ("height_maps.made", "height map, 0.2 mm"),
+    ("scale.nodes", "600 digits, two Ray nodes"),
+)
+"""The table of benchmarks/README.md: figures by their names, and what they are of."""
+
+Peer = tuple[float, str]
+"""Another time for the same, in the unit of the figure, and what it is of."""
 
 
 def tell(
@@ -159,25 +176,41 @@ def tell(
     value: float,
     unit: str = "",
     *,
-    other: float = 0.0,
+    statistic: str = "",
+    published: float = 0.0,
+    plain: Peer | None = None,
+    limit: Peer | None = None,
     target: str = "",
     note: str = "",
 ) -> None:
     """Print a figure and keep it for ``benchmarks/run``.
 
-    ``name`` is what README.md finds it by. ``unit`` is ``"s"``, ``"bytes"``, or what stands after the number.
-    ``other`` is what it is compared with, in the same unit. ``target`` is ``"at least 20"`` or
-    ``"at most 0.5"``: of other / value where there is another, else of the value.
+    ``name`` is what pages find it by. ``unit`` is ``"s"``, ``"bytes"``, or what stands after the number.
+    ``statistic`` says how many measurements became one number. ``published`` is the published package,
+    ``plain`` the best that an expert would write with libraries of the field, or what else the figure is
+    compared with, ``limit`` a part that no program can leave out, such as the decoder. ``target`` is
+    ``"at least 20"`` or ``"at most 0.5"``: of the first of ``published`` and ``plain``, divided by ``value``,
+    or else of ``value``.
     """
-    figure: dict[str, Any] = {"name": name, "what": what, "value": float(f"{value:.4g}"), "unit": unit}
-    if other:
-        figure |= {"other": float(f"{other:.4g}"), "ratio": float(f"{other / value:.4g}")}
-    figure |= {key: text for key, text in (("target", target), ("note", note)) if text}
-    print(" | ".join(_cells(figure)).replace("**", ""), flush=True)
+    figure: dict[str, Any] = {"name": name, "what": what, "value": _rounded(value), "unit": unit}
+    if published:
+        figure["published"] = _rounded(published)
+    for peer, known in (("plain", plain), ("limit", limit)):
+        if known is not None:
+            figure |= {peer: _rounded(known[0]), f"{peer}_name": known[1]}
+    texts = {"statistic": statistic, "target": target, "note": note}
+    figure |= {key: text for key, text in texts.items() if text}
+    aim = "" if not target or is_met(figure) else f"missed: {target}"
+    cells = (*_cells(figure, what), aim, note)
+    print(" | ".join(filter(None, cells)).replace("**", ""), flush=True)
     kept = os.environ.get(FIGURES_FILE)
     if kept:
         with Path(kept).open("a") as file:
             file.write(json.dumps(figure) + "\n")
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def in_words(value: float, unit: str) -> str:
@@ -193,8 +226,14 @@ def is_met(figure: Mapping[str, Any]) -> bool:
     found = re.fullmatch(r"at (least|most) ([\d.]+)", figure.get("target", "at most inf"))
     if found is None:
         return True
-    value, bound = figure.get("ratio", figure["value"]), float(found[2])
-    return bool(value >= bound if found[1] == "least" else value <= bound)
+    value, bound = aimed_at(figure), float(found[2])
+    return value >= bound if found[1] == "least" else value <= bound
+
+
+def aimed_at(figure: Mapping[str, Any]) -> float:
+    """Return what the target of a figure is of: the first of its ratios, or its value."""
+    peer = next((figure[peer] for peer in ("published", "plain") if peer in figure), None)
+    return float(figure["value"] if peer is None else peer / figure["value"])
 
 
 def fingerprint(paths: tuple[str, ...]) -> str:
@@ -249,23 +288,37 @@ def _processor() -> str:
     return next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.machine())
 
 
+def by_name(results: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the figures by ``BENCHMARK.NAME``."""
+    return {
+        f"{name}.{figure['name']}": figure for name, result in results.items() for figure in result["figures"]
+    }
+
+
 def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the name and text of each table: what is compared, and the figures that README.md shows."""
-    by_name = {
-        f"{name}.{each['name']}": each for name, result in results.items() for each in result["figures"]
-    }
-    rows = ["| what | here | other | ratio |", "| --- | --- | --- | --- |"]
-    for name, what, beside in COMPARED:
-        if figure := by_name.get(name):
-            other = in_words(figure["other"], figure["unit"]) + (f", {beside}" if beside else "")
-            here = in_words(figure["value"], figure["unit"])
-            rows.append(f"| {what} | {here} | {other} | **{in_words(figure['ratio'], '')}** |")
-    yield "all", "\n".join([*rows, "", *_runs(results), "", _missed(results)])
-    rows = ["| what | measured | compared with |", "| --- | --- | --- |"]
-    for cells in SHOWN:
-        if all(each.removesuffix(":ratio") in by_name for each in _PLACE.findall("".join(cells))):
-            rows.append(f"| {' | '.join(_filled(cell, by_name) for cell in cells)} |")
-    yield "shown", "\n".join(rows)
+    yield "all", "\n".join([*_table(results, COMPARED), "", *_runs(results), "", _missed(results)])
+    yield "shown", "\n".join(_table(results, SHOWN))
+
+
+def _table(results: Mapping[str, Any], listed: tuple[tuple[str, str], ...]) -> list[str]:
+    figures = by_name(results)
+    columns = ("what", "here", "published", "ratio", "by libraries", "ratio", "limit")
+    rows = [columns, ("---",) * len(columns)]
+    rows += [_cells(figures[name], what) for name, what in listed if name in figures]
+    return [f"| {' | '.join(cells)} |" for cells in rows]
+
+
+def _cells(figure: Mapping[str, Any], what: str) -> tuple[str, ...]:
+    """Return the row of a figure; a peer is followed by what it is of, and by its ratio."""
+    unit, value = figure["unit"], figure["value"]
+    here = ", ".join(filter(None, [in_words(value, unit), figure.get("statistic", "")]))
+    cells = [what, here]
+    for peer in ("published", "plain"):
+        words = ": ".join(filter(None, [in_words(figure.get(peer, 0), unit), figure.get(f"{peer}_name", "")]))
+        cells += [words, f"**{in_words(figure[peer] / value, '')}**"] if peer in figure else ["", ""]
+    limit = f"{in_words(figure['limit'], unit)}: {figure['limit_name']}" if "limit" in figure else ""
+    return (*cells, limit)
 
 
 def _runs(results: Mapping[str, Any]) -> list[str]:
@@ -290,43 +343,23 @@ def _missed(results: Mapping[str, Any]) -> str:
     missed = []
     for name, result in results.items():
         for figure in filter(lambda figure: not is_met(figure), result["figures"]):
-            value = in_words(
-                figure.get("ratio", figure["value"]), "" if "ratio" in figure else figure["unit"]
-            )
+            is_ratio = "published" in figure or "plain" in figure
+            value = in_words(aimed_at(figure), "" if is_ratio else figure["unit"])
             missed.append(f"`{name}.{figure['name']}` {value} ({figure['target']})")
     return f"Targets that are missed: {'; '.join(missed) or 'none'}."
 
 
-def _filled(cell: str, figures: Mapping[str, Any]) -> str:
-    def words(found: re.Match[str]) -> str:
-        figure = figures[found[1].removesuffix(":ratio")]
-        return _times(figure) if found[1].endswith(":ratio") else in_words(figure["value"], figure["unit"])
-
-    return _PLACE.sub(words, cell)
-
-
-def _times(figure: Mapping[str, Any]) -> str:
-    return in_words(figure["ratio"], "times")
-
-
-def _cells(figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
-    other = in_words(figure["other"], figure["unit"]) if "other" in figure else ""
-    beside = "; ".join(text for text in (other, figure.get("note", "")) if text)
-    times = f"**{in_words(figure['ratio'], '').strip()}**" if other else ""
-    target = figure.get("target", "")
-    if target and not other:  # of the value itself, in its unit
-        bound, _, number = target.rpartition(" ")
-        target = f"{bound} {in_words(float(number), figure['unit'])}"
-    target += "" if is_met(figure) else ", **missed**"
-    return figure["what"], in_words(figure["value"], figure["unit"]), beside, times, target
-
-
 def written(text: str, results: Mapping[str, Any]) -> str:
-    """Return a document with its tables as they are to be."""
-    for name, table in tables(results):
-        block = re.compile(rf"(<!-- figures: {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        text = block.sub(lambda found, table=table: f"{found[1]}\n{table}\n\n{found[2]}", text)
-    return text
+    """Return a document with its tables and figures as they are to be; KeyError for an unknown figure."""
+    texts, figures = dict(tables(results)), by_name(results)
+
+    def shown(match: re.Match[str]) -> str:
+        if match[2] in texts:
+            return f"{match[1]}\n\n{texts[match[2]]}\n\n{match[3]}"
+        figure = figures[match[2]]
+        return f"{match[1]}{in_words(figure['value'], figure['unit'])}{match[3]}"
+
+    return _SHOWN_FIGURES.sub(shown, text)
 
 
 def main() -> None:
@@ -354,6 +387,8 @@ def main() -> None:
         results = {each: results[each] for each in BENCHMARKS if each in results}
         RESULTS.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n")
     for document in DOCUMENTS:
-        document.write_text(written(document.read_text(encoding="utf-8"), results), encoding="utf-8")
+        text = document.read_text(encoding="utf-8")
+        if text != (new_text := written(text, results)):
+            document.write_text(new_text, encoding="utf-8")
     if failed:
         sys.exit(f"not measured: {', '.join(failed)}; what they said is above")

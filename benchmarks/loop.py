@@ -2,8 +2,9 @@
 
 Usage: python benchmarks/loop.py      (extra mujoco)
 
-Prints the rows of the page "A gel in MuJoCo". Scenes are those of the tests. Times are processor time of one
-thread: a printed digit moves over the gel, with friction; each step gives forces and a depth map.
+Tells the figures of the page "A gel in MuJoCo". Scenes are those of the tests. Times are processor time of
+one thread, minima: a printed digit moves over the gel, with friction; each step gives forces and a depth map,
+or an image by Taxim.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import mujoco
 import numpy as np
+from figures import tell
 
 import tactile_sim
 from mnist3d.solid.algorithm import solidify
@@ -34,15 +36,15 @@ from tests.tactile_sim import test_loop, test_mujoco_gels as scenes
 STEPS, REPEATS = 100, 7
 
 
-def heights_of_bounces(step_s: float, relaxation_s: float) -> list[float]:
+def heights_of_bounces(dt_s: float, relaxation_s: float) -> list[float]:
     """Return the heights to which a ball of 10 g rises that fell 5 mm, relative to the fall."""
-    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.013), step_s)
+    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.013), dt_s)
     sensor = tactile_sim.center_view(64, 64)
     gel = GelSensor(model, data, "gel", sensor, relaxation_s=relaxation_s)
     mujoco.set_mjcb_control(GelCallback(gel))
     heights_m = [0.0]
     tops = []
-    for _ in range(round(0.4 / step_s)):
+    for _ in range(round(0.4 / dt_s)):
         mujoco.mj_step(model, data)
         heights_m.append(data.qpos[2] - 0.008)
         if len(heights_m) > 3 and heights_m[-3] < heights_m[-2] > heights_m[-1] and heights_m[-2] > 0:
@@ -50,9 +52,9 @@ def heights_of_bounces(step_s: float, relaxation_s: float) -> list[float]:
     return tops
 
 
-def force_at_rest(step_s: float) -> tuple[float, float]:
+def force_at_rest(dt_s: float) -> tuple[float, float]:
     """Return error and swing of the force of a ball of 10 g at rest, relative to its weight."""
-    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.0082), step_s)
+    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.0082), dt_s)
     gel = GelSensor(model, data, "gel", tactile_sim.center_view(64, 64))
     mujoco.set_mjcb_control(GelCallback(gel))
     forces_n = []
@@ -113,8 +115,8 @@ def poses(digit_top_m: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         )
 
 
-def steps_per_s(sensor: tactile_sim.Sensor, optics: str) -> float:
-    """Return how many steps with forces and an image a core does in a second."""
+def step_s(sensor: tactile_sim.Sensor, optics: str) -> float:
+    """Return the processor seconds of a step with forces and an image."""
     digit = tactile_sim.Pressable.of(solidify(SyntheticSource().image(1008).pixels))
     moves = list(poses(digit.vertices_m[:, 2].max()))
     state, camera = tactile_sim.GelState(sensor), tactile_sim.make_optics(optics)
@@ -129,28 +131,36 @@ def steps_per_s(sensor: tactile_sim.Sensor, optics: str) -> float:
             else:
                 camera.render(state.depth_m[None], sensor, sensor.size_px)
         best_s = min(best_s, (time.process_time() - start_s) / STEPS)
-    return 1.0 / best_s
+    return best_s
 
 
 def main() -> None:
     """Measure and print."""
     warnings.simplefilter("ignore", tactile_sim.GelWarning)
-    for name, sensor in (("64x64", tactile_sim.center_view(64, 64)), ("320x240", tactile_sim.full_view())):
-        for optics in ("depth", "taxim"):
-            print(f"{name}, {optics}: {steps_per_s(sensor, optics):.0f} steps/s")
-    for step_s in (0.002, 0.0005):
-        error, swing = force_at_rest(step_s)
-        print(f"ball at rest, {1e3 * step_s:g} ms: force off by {error:.1e}, swings by {swing:.1e}")
-        tops = ", ".join(f"{top:.3f}" for top in heights_of_bounces(step_s, 0.0))
-        print(f"bounces without relaxation, {1e3 * step_s:g} ms: {tops}")
+    for name, sensor in (("64", tactile_sim.center_view(64, 64)), ("320", tactile_sim.full_view())):
+        for optics, what in (("depth", "a depth map"), ("taxim", "an image by Taxim")):
+            taken_s = step_s(sensor, optics)
+            words = f"a step with friction, forces and {what}, {name} pixels wide"
+            tell(f"{optics}_{name}", words, taken_s, "s", statistic=f"minimum of {REPEATS}")
+    for number, dt_s in (("2", 0.002), ("05", 0.0005)):
+        words = f"ball {{}}, steps of {1e3 * dt_s:g} ms"
+        error, swing = force_at_rest(dt_s)
+        tell(f"weight_{number}", words.format("at rest: mean force off its weight"), 100 * error, "%")
+        tell(f"swing_{number}", words.format("at rest: greatest swing of the force"), 100 * swing, "%")
+        tops = np.array(heights_of_bounces(dt_s, 0.0)[:5])
+        words = words.format("without relaxation: error of the height of five bounces")
+        tell(f"bounce_{number}", words, 100 * float(abs(tops - 1).max()), "%")
     history, none = mindlin_errors()
-    print(f"Cattaneo-Mindlin, there, back and there: off by {history:.2%}; without a history {none:.0%}")
-    for acceleration in (4.0, 7.0, 8.0, 9.5, 11.0):
-        slip_mm_s, ratio = accelerated_cylinder(acceleration)
-        print(
-            f"cylinder, {acceleration:g} m/s2: slips at {slip_mm_s:.1f} mm/s, friction {ratio:.3f} of 0.300"
+    words = "force there, back and there, off Cattaneo and Mindlin, of friction times force"
+    tell("mindlin", words, 100 * float(history), "%")
+    tell("no_history", f"{words}, without a history", 100 * float(none), "%")
+    for acceleration in (8.0, 9.5):
+        slip_mm_s, _ = accelerated_cylinder(acceleration)
+        words = (
+            f"slip of a cylinder on a gel that accelerates by {acceleration:g} m/s2; it should slip from 8.8"
         )
-    print(f"two fingers hold {greatest_share():.2f} of twice friction times force")
+        tell(f"slip_{acceleration:g}", words, slip_mm_s, "mm/s")
+    tell("fingers", "weight that two fingers hold, of twice friction times force", greatest_share())
     mujoco.set_mjcb_control(None)
 
 

@@ -1,7 +1,9 @@
 """How fast real touches load: ours against the published loader and plain `datasets`, in one run.
 
 Sets in the published schema (256 touches per round) are made in a temporary folder, with noise in all frames
-so that decoding costs what it costs on a real sensor. Reported are medians.
+so that decoding costs what it costs on a real sensor. Reported are medians. What lies in the cache of the
+toolkit was unpacked before. The plain way has a column in memory, and decodes by Pillow or torchcodec; the
+limit is the decoder alone, into the same memory.
 
     python benchmarks/real_touches.py [--folder KEPT] [--rounds 6]
 """
@@ -23,10 +25,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import in_words, tell
+import simplejpeg
+from figures import Peer, in_words, tell
+from plain_ways import IN_MEMORY, medians_in_turn_s, pixels, stored_media
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 TOUCHES = 256
+TIMES = ("time_stamp_rel_seq", "touch_start_time_rel", "touch_end_time_rel")
 DISTINCT_CLIPS = 24
 CLIP_NOISE = 0.8
 ORDER = np.random.default_rng(0)
@@ -60,6 +65,11 @@ def repeated(row: dict[str, Any], touches: int) -> dict[str, Any]:
     return longer
 
 
+def decode(image: Any, out: np.ndarray) -> np.ndarray:
+    """Decode a JPEG into the same memory each time, which any reader does at least."""
+    return simplejpeg.decode_jpeg(image, "RGB", buffer=out)
+
+
 def median_s(work: Callable[[], Any], repeats: int) -> float:
     """Return the median time of one call, after one call that is not counted."""
     work()
@@ -71,23 +81,22 @@ def median_s(work: Callable[[], Any], repeats: int) -> float:
     return statistics.median(times)
 
 
-def in_turn(works: list[Callable[[], Any]], repeats: int) -> list[float]:
-    """Return the median time of one call of each; they take turns, so that other work weighs on all alike."""
-    times: list[list[float]] = [[] for _ in works]
-    for turn in range(repeats + 1):
-        for work, taken in zip(works, times, strict=True):
-            start = time.perf_counter()
-            work()
-            if turn:  # the first is not counted
-                taken.append(time.perf_counter() - start)
-    return [statistics.median(taken) for taken in times]
-
-
-def line(what: str, ours_s: float, published_s: float, plain_s: float | None, wanted: float = 0) -> None:
-    """Tell a figure next to the published package's and that of `datasets` alone."""
-    note = f"`datasets` alone {in_words(plain_s, 's')}" if plain_s else ""
-    target = f"at least {wanted:g}" if wanted else ""
-    tell(re.sub(r"\W+", "_", what), what, ours_s, "s", other=published_s, target=target, note=note)
+def line(
+    what: str,
+    ours_s: float,
+    published_s: float,
+    least: float = 0,
+    *,
+    plain: Peer | None = None,
+    limit: Peer | None = None,
+    datasets_s: float = 0.0,
+) -> None:
+    """Tell a median next to those of its peers; ``least`` is how many times as fast ours is to be."""
+    tell(
+        re.sub(r"\W+", "_", what), what, ours_s, "s", statistic="median", published=published_s, plain=plain,
+        limit=limit, target=f"at least {least:g}" if least else "",
+        note=f"`datasets` alone {in_words(datasets_s, 's')}" if datasets_s else "",
+    )  # fmt: skip
 
 
 def draw(*sizes: int) -> list[int]:
@@ -95,7 +104,7 @@ def draw(*sizes: int) -> list[int]:
     return [int(ORDER.integers(size)) for size in sizes]
 
 
-def bench_images(folder: Path, size: str, pass_wanted: float) -> None:
+def bench_images(folder: Path, size: str, pass_least: float) -> None:
     """Random touches and a full pass over images."""
     import tactile_mnist
     from datasets import load_dataset
@@ -103,6 +112,7 @@ def bench_images(folder: Path, size: str, pass_wanted: float) -> None:
     import realtouch
 
     plain = load_dataset(str(folder / f"single-{size}"), split="train")
+    column = stored_media(folder / f"single-{size}", "sensor_image")
     published = tactile_mnist.TouchSingleDataset(plain)
     ours = realtouch.load(folder / f"single-{size}")
     touches = ours.touches()
@@ -116,12 +126,19 @@ def bench_images(folder: Path, size: str, pass_wanted: float) -> None:
         row, touch = draw(rounds, TOUCHES)
         return np.asarray(plain[row]["sensor_image"][touch])
 
+    encoded = [column[index].as_py() for index in range(256)]
+    space = np.empty_like(pixels(column, 0))
+    assert np.array_equal(pixels(column, 5), touches[5].image)
+    decoding = median_s(lambda: [decode(image, space) for image in encoded], 9) / 256, "decoder alone"
+    by_pillow = f"{IN_MEMORY}, Pillow"
     line(
         f"random touch {size}",
         median_s(lambda: touches[draw(len(touches))[0]].image, 2000),
         median_s(their_touch, 9),
-        median_s(plain_touch, 9),
         300,
+        plain=(median_s(lambda: pixels(column, draw(len(column))[0]), 2000), by_pillow),
+        limit=decoding,
+        datasets_s=median_s(plain_touch, 9),
     )
 
     def their_pass() -> None:
@@ -147,13 +164,19 @@ def bench_images(folder: Path, size: str, pass_wanted: float) -> None:
             record.sensor_image.batch(out=out)
 
     count = len(touches)
-    theirs, plains = median_s(their_pass, 3) / count, median_s(plain_pass, 3) / count
-    line(f"full pass {size}, per image", median_s(our_pass, 5) / count, theirs, plains, pass_wanted)
+    peers = {
+        "plain": (median_s(lambda: [pixels(column, row) for row in range(count)], 3) / count, by_pillow),
+        "limit": decoding,
+        "datasets_s": median_s(plain_pass, 3) / count,
+    }
+    theirs = median_s(their_pass, 3) / count
+    line(f"full pass {size}, per image", median_s(our_pass, 5) / count, theirs, pass_least, **peers)
     batched = median_s(our_batched_pass, 5) / count
-    line(f"full pass {size}, into one batch", batched, theirs, plains, 4 if size == "64x64" else pass_wanted)
+    least = 4 if size == "64x64" else pass_least
+    line(f"full pass {size}, into one batch", batched, theirs, least, **peers)
     if size != "64x64":
         one, two = (thread_s(folder / f"single-{size}", threads) / TOUCHES for threads in (1, 2))
-        line(f"two threads, {size}; ours, one thread", two, one, None, 1.7)
+        line(f"two threads, {size}", two, 0, 1.7, plain=(one, "one thread"))
 
 
 def bench_clips(folder: Path) -> None:
@@ -165,6 +188,7 @@ def bench_clips(folder: Path) -> None:
 
     plain = load_dataset(str(folder / "seq"), split="train")
     published = tactile_mnist.TouchSeqDataset(plain)
+    column = stored_media(folder / "seq", "sensor_video")
     ours = realtouch.load(folder / "seq")
     touches = ours.touches()
 
@@ -182,12 +206,22 @@ def bench_clips(folder: Path) -> None:
         decoder = plain[row]["sensor_video"][touch]
         return decoder[draw(len(decoder))[0]]
 
+    def memory_frame() -> Any:
+        clip = decoder_of(column, draw(len(column))[0])
+        return clip[draw(len(clip))[0]]
+
+    encoded = [touches[0].clip.encoded(frame) for frame in range(len(touches[0].clip))]
+    space = np.empty_like(touches[0].clip[0])
+    decoding_s = median_s(lambda: [decode(image, space) for image in encoded], 15) / len(encoded)
+    by_decoder = f"{IN_MEMORY}, `torchcodec`"
     line(
         "random frame of a random clip",
         median_s(our_frame, 2000),
         median_s(their_frame, 9),
-        median_s(plain_frame, 5),
         300,
+        plain=(median_s(memory_frame, 200), by_decoder),
+        limit=(decoding_s, "decoder alone"),
+        datasets_s=median_s(plain_frame, 5),
     )
 
     def our_clip() -> Any:
@@ -197,20 +231,31 @@ def bench_clips(folder: Path) -> None:
         row, touch = draw(len(ours), TOUCHES)
         return published[row].sensor_video[touch][:]
 
-    line("whole clip, one thread", median_s(our_clip, 50), median_s(their_clip, 9), None, 8)
+    peers = {
+        "plain": (median_s(lambda: decoder_of(column, draw(len(column))[0])[:], 25), by_decoder),
+        "limit": (decoding_s * len(encoded), "decoder alone"),
+    }
+    line("whole clip, one thread", median_s(our_clip, 50), median_s(their_clip, 9), 8, **peers)
     line(
         "whole clip, two threads",
         median_s(lambda: touches[draw(len(touches))[0]].clip.frames(threads=2), 50),
         median_s(their_clip, 9),
-        None,
         8,
+        **peers,
     )
 
-    bench_contact(ours, published)
-    bench_poses(ours, published)
+    bench_contact(ours, published, column, decoding_s)
+    bench_poses(ours, published, folder / "seq")
 
 
-def bench_contact(ours: Any, published: Any) -> None:
+def decoder_of(column: Any, touch: int) -> Any:
+    """Return the decoder of a clip in memory, as `datasets` makes it, with one thread."""
+    from torchcodec.decoders import VideoDecoder
+
+    return VideoDecoder(column[touch].as_py(), num_ffmpeg_threads=1)
+
+
+def bench_contact(ours: Any, published: Any, column: Any, decoding_s: float) -> None:
     """Contact frames of one round: one of each touch, and all of each touch."""
 
     def their_frames() -> Any:
@@ -218,6 +263,19 @@ def bench_contact(ours: Any, published: Any) -> None:
 
     def their_windows() -> Any:
         return [decoder[window[0] : window[-1] + 1] for decoder, window in _windows(published[0])]
+
+    def windows_in_memory() -> Any:
+        row = ours[0].row
+        stored = zip(*(row.value(name) for name in TIMES), strict=True)
+        for touch, (stamps, start, end) in enumerate(stored):
+            times = np.asarray(stamps)
+            yield decoder_of(column, touch), np.flatnonzero((times >= start) & (times <= end)).tolist()
+
+    def memory_frames() -> Any:
+        return [decoder[window[-1]] for decoder, window in windows_in_memory()]
+
+    def memory_windows() -> Any:
+        return [decoder[window[0] : window[-1] + 1] for decoder, window in windows_in_memory()]
 
     def our_frames(threads: int | None, out: Any = None) -> Callable[[], Any]:
         return lambda: ours[0].contact_frames("contact_end", threads=threads, out=out)
@@ -228,21 +286,42 @@ def bench_contact(ours: Any, published: Any) -> None:
     batch = our_frames(1)()
     frames = {
         "contact frames of a round (default threads)": our_frames(None),
-        "the same, one thread": our_frames(1),
-        "the same, one thread, into one batch": our_frames(1, batch),
+        "contact frames of a round, one thread": our_frames(1),
+        "contact frames of a round, one thread, into one batch": our_frames(1, batch),
     }
     windows = {
         "all 7 frames of each contact (default)": our_windows(None),
-        "the same, one thread": our_windows(1),
+        "all 7 frames of each contact, one thread": our_windows(1),
     }
-    for theirs, works, repeats, wanted in ((their_frames, frames, 15, 5), (their_windows, windows, 5, 0)):
-        theirs_s, *ours_s = in_turn([theirs, *works.values()], repeats)
+    count = TOUCHES
+    for theirs, in_memory, works, repeats, least in (
+        (their_frames, memory_frames, frames, 15, 5),
+        (their_windows, memory_windows, windows, 5, 0),
+    ):
+        theirs_s, plain_s, *ours_s = medians_in_turn_s([theirs, in_memory, *works.values()], repeats)
+        peers = {
+            "plain": (plain_s, f"{IN_MEMORY}, `torchcodec`"),
+            "limit": (decoding_s * count, "decoder alone, one thread"),
+        }
         for what, taken_s in zip(works, ours_s, strict=True):
-            line(what, taken_s, theirs_s, None, wanted)
+            line(what, taken_s, theirs_s, least, **peers)
+        count *= 7
 
 
-def bench_poses(ours: Any, published: Any) -> None:
+def bench_poses(ours: Any, published: Any, folder: Path) -> None:
     """All poses of one round."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    names = ["gel_pose_cell_frame_seq.position", "gel_pose_cell_frame_seq.quaternion"]
+    files = sorted((folder / "data").glob("*.parquet"))
+    table = pa.concat_tables([pq.read_table(file, columns=names) for file in files]).combine_chunks()
+
+    def memory_poses() -> Any:
+        return [
+            column.chunk(0).slice(0, 1).flatten().flatten().flatten().to_numpy().copy()
+            for column in table.columns
+        ]
 
     def our_poses() -> Any:
         poses = ours[0].gel_pose_cell_frame_seq
@@ -252,8 +331,8 @@ def bench_poses(ours: Any, published: Any) -> None:
         "all poses of a round as arrays",
         median_s(our_poses, 100),
         median_s(lambda: published[0].gel_pose_cell_frame_seq, 3),
-        None,
         300,
+        plain=(median_s(memory_poses, 100), "columns of pyarrow in memory, unchecked"),
     )
 
 

@@ -4,8 +4,8 @@ Run ``python benchmarks/starstruck.py`` (extra `oracle`). One run prints, each a
 repetitions in this process:
 
 - scenes per second of the published generator (``generate_starstruck_scene`` of
-  ``tactile_mnist.starstruck_dataset``), of ours in batches (``sample_scenes`` and ``build_meshes``), and of
-  ours one by one (``SceneDataset[i].mesh``);
+  ``tactile_mnist.starstruck_dataset``), of ours in batches (``sample_scenes`` and ``build_meshes``), of
+  ours one by one (``SceneDataset[i].mesh``), and of the same with NumPy (``plain_ways.scenes``);
 - processor seconds of a written data set of 3,300 scenes, in a fresh process from its start to its end;
 - Parquet bytes per scene.
 """
@@ -20,9 +20,12 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+import plain_ways
+import trimesh
 from figures import tell
 
 from starstruck_gen import SceneDataset, SceneSpec, build_meshes, load, sample_scenes
@@ -41,31 +44,29 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="repetitions of each measurement")
     repeats = parser.parse_args().repeats
     require_feasible(SceneSpec(), 0)
-    warm = [_published, _batched, _single]
-    for work in warm:
-        work(10)
-    # The three take turns, so that other work on the machine weighs on all of them alike.
-    rates = [[_scenes_per_s(work) for work in warm] for _ in range(repeats)]
-    _, batched, single = (statistics.median(column) for column in zip(*rates, strict=True))
-    ratio = statistics.median(row[1] / row[0] for row in rates)
-    ratio_single = statistics.median(row[2] / row[0] for row in rates)
-    cpu_s, size = _written(repeats)
+    meshes = list(plain_ways.scenes(SCENES))
+    works = [_published, _batched, _single, _plain, _plain_trimesh, lambda _: _joined(meshes)]
+    works[0](10)
+    published_s, batched_s, single_s, plain_s, trimesh_s, joined_s = (
+        taken_s / SCENES
+        for taken_s in plain_ways.medians_in_turn_s(
+            [partial(work, SCENES) for work in works], repeats, time.process_time
+        )
+    )
+    statistic = f"median of {repeats}"
     tell(
-        "scene",
-        "the mesh of a scene, in batches",
-        1 / batched,
-        "s",
-        other=ratio / batched,
+        "scene", "the mesh of a scene, 1,000 at a time", batched_s, "s", statistic=statistic,
+        published=published_s, plain=(plain_s, "NumPy"), limit=(joined_s, "copy of all meshes into one"),
         target="at least 10",
-    )
+    )  # fmt: skip
     tell(
-        "single",
-        "a scene alone, as trimesh",
-        1 / single,
-        "s",
-        other=ratio_single / single,
-        target="at least 20",
-    )
+        "single", "a scene alone, as trimesh", single_s, "s", statistic=statistic, published=published_s,
+        plain=(trimesh_s, "NumPy, `Trimesh(process=False)`"), target="at least 20",
+    )  # fmt: skip
+    cpu_s, size = _written(repeats)
+    million = 1e6 / 3_300
+    tell("million", "a million scenes on one core", million * cpu_s / 3600, "core-hours")
+    tell("million_bytes", "a million scenes in Parquet", 1e6 * size, "bytes")
     tell(
         "written",
         "3,300 scenes written, with card and picture, processor time",
@@ -95,10 +96,19 @@ def _single(count: int) -> None:
         scenes[number].mesh  # noqa: B018
 
 
-def _scenes_per_s(work: Callable[[int], None]) -> float:
-    start_s = time.process_time()
-    work(SCENES)
-    return SCENES / (time.process_time() - start_s)
+def _plain(count: int) -> None:
+    for _ in plain_ways.scenes(count):
+        pass
+
+
+def _plain_trimesh(count: int) -> None:
+    for vertices, faces in plain_ways.scenes(count):
+        trimesh.Trimesh(vertices, faces, process=False)
+
+
+def _joined(meshes: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    for arrays in zip(*meshes, strict=True):
+        np.concatenate(arrays)
 
 
 def _written(repeats: int) -> tuple[float, float]:

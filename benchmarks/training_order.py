@@ -1,4 +1,5 @@
-"""The order of training beside the plain pass over the same shards of touches, and beside `datasets`.
+"""The order of training beside the plain pass over the same shards of touches, beside `datasets`, and beside
+what an expert would write for a set that fits into memory.
 
 ::
 
@@ -29,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from figures import tell
+from plain_ways import IN_MEMORY, pixels, stored_media
 
 BATCH = 64
 TOUCHES = 256
@@ -80,17 +82,30 @@ def streamed(folder: Path) -> Iterator[Any]:
         yield torch.utils.data.default_collate(items)
 
 
+def in_memory(folder: Path) -> Iterator[Any]:
+    """Batches of a column in memory in random order, decoded by Pillow."""
+    import torch
+
+    images = stored_media(folder, "sensor_image")
+    labels = torch.zeros(len(images), dtype=torch.int64)
+    order = np.random.default_rng(0).permutation(len(images))
+    for start in range(0, len(order), BATCH):
+        rows = order[start : start + BATCH].tolist()
+        batch = np.stack([pixels(images, row) for row in rows])
+        yield torch.from_numpy(batch).permute(0, 3, 1, 2).contiguous(), labels[rows]
+
+
 def decoded(folder: Path) -> Iterator[Any]:
     """What any way to read these JPEGs does at least: each is decoded, into the same memory."""
     import realtouch
     from realtouch.touches.media import images_array
     from tactile_toolkit.touch import decode_image
 
-    pixels = images_array(1, (64, 64))[0]
+    space = images_array(1, (64, 64))[0]
     for record in realtouch.load(folder, "train"):
         for touch in range(TOUCHES):
-            decode_image(record.sensor_image.encoded(touch), pixels)
-        yield pixels, range(TOUCHES)
+            decode_image(record.sensor_image.encoded(touch), space)
+        yield space, range(TOUCHES)
 
 
 def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
@@ -108,6 +123,7 @@ def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
         "channels_last": lambda: iter(TrainingBatches(channels_last, BATCH)),
         "random": lambda: iter(torch.utils.data.DataLoader(tensors, batch_size=BATCH, shuffle=True)),
         "datasets": lambda: streamed(folder),
+        "memory": lambda: in_memory(folder),
         "decoding": lambda: decoded(folder),
     }
 
@@ -167,23 +183,26 @@ def main() -> None:
 def tell_turns(turns: list[dict[str, float]]) -> None:
     """Tell medians, and how ratios differ from turn to turn."""
     medians = {name: statistics.median(turn[name] for turn in turns) for name in turns[0]}
+    ways = {
+        "datasets": "`datasets` streaming, its shuffle buffer",
+        "memory": f"{IN_MEMORY}, Pillow",
+        "plain": "here, in stored order",
+        "random": "here, any touch at random",
+    }
     for name, beside, what, target in (
-        ("training", "datasets", "the order of training; `datasets` streaming with its shuffle buffer", 5),
-        ("channels_last", "datasets", "the same in torch's `channels_last`; `datasets`", 5),
-        ("training", "plain", "the order of training; the plain pass in stored order", 0.8),
-        ("training", "random", "the order of training; any touch at random", 0),
-        ("decoding", "datasets", "decoding alone, the bound for any reader; `datasets`", 0),
+        ("training", "datasets", "the order of training", 5),
+        ("channels_last", "datasets", "the same in torch's `channels_last`", 5),
+        ("training", "memory", "the order of training", 0),
+        ("training", "plain", "the order of training", 0.8),
+        ("training", "random", "the order of training", 0),
     ):
         ratios = [turn[beside] / turn[name] for turn in turns]
         tell(
-            f"{name}_{beside}",
-            f"a touch in {what}",
-            medians[name],
-            "s",
-            other=medians[beside],
-            target=f"at least {target}" if target else "",
+            f"{name}_{beside}", f"a touch in {what}, batches of 64", medians[name], "s",
+            statistic=f"median of {len(turns)}", plain=(medians[beside], ways[beside]),
+            limit=(medians["decoding"], "decoder alone"), target=f"at least {target}" if target else "",
             note=f"{min(ratios):.1f} to {max(ratios):.1f} in {len(turns)} turns",
-        )
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

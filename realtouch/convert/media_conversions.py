@@ -144,14 +144,12 @@ class TakeContactFrames:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
         flat = schema.flat_row(row)
         new_schema = self.schema(flat.schema)
-        shown = list(picture_files.shown_touches(row, self.method))
-        for picture in shown:
-            _ = picture.pixels  # what passes through must be intact
-        pictures = [picture.stored for picture in shown]
-        made = {"sensor_image": media.numbered_media(pictures, "jpg")}
+        shown = picture_files.shown_touches(row, self.method)
+        for number in range(len(shown)):
+            shown.pixels(number)  # what passes through must be intact
+        made = {"sensor_image": media.numbered_media(shown.stored(), "jpg")}
         if row.has_poses:
-            poses = np.concatenate([np.empty((0, 7)), *(picture.pose[None] for picture in shown)])
-            for (part, width), values in zip(_WIDTHS.items(), np.hsplit(poses, [3]), strict=True):
+            for (part, width), values in zip(_WIDTHS.items(), np.hsplit(shown.poses, [3]), strict=True):
                 made[f"{_POSE}.{part}"] = pa.FixedSizeListArray.from_arrays(values.ravel(), width)
         for name in flat.column_names:
             if name.startswith(schema.EXTRA_PREFIX["frame"]):

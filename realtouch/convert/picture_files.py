@@ -160,31 +160,35 @@ class WritePictures:
         A row with a damaged touch is left out with all of its pictures.
         """
         name = stem_of_id(str(row.plain_value("id")))
-        shown = list(shown_touches(row, self.method))
+        shown = shown_touches(row, self.method)
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
             # A round of images shares one background; each clip has its own.
             base = image_contacts.background(rounds.TouchSingleRound(row))
         folder = f"{IMAGE_FOLDER}/{split}/{name}"
         suffix = touch.IMAGE_SUFFIX[self.kind]
-        files = {f"{folder}/{picture.touch:03d}.{suffix}": self._encoded(picture, base) for picture in shown}
+        stored = shown.stored()
+        files = {
+            f"{folder}/{number:03d}.{suffix}": self._encoded(shown, number, stored[number].as_py(), base)
+            for number in range(len(shown))
+        }
         columns = {
             **columns_of_touches(row, shown, self.names),
-            "id": [f"{name}/{picture.touch:03d}" for picture in shown],
+            "id": [f"{name}/{number:03d}" for number in range(len(shown))],
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
         return conversion.table_of_columns(self.schema(row.group.table.schema), columns), files
 
-    def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
+    def _encoded(self, shown: ShownTouches, number: int, stored: bytes, base: UInt8 | None) -> bytes:
         """Return the file of a picture; every picture is decoded, so that damage is not passed on."""
-        pixels, stored = shown.pixels, shown.stored
+        pixels = shown.pixels(number)
         if self.difference is not None:
             if base is None:
-                base = image_contacts.background(shown.images)
+                base = image_contacts.background(shown.images[number])
             return touch.encode_image(difference(pixels, base, self.difference), self.kind)
         if self.kind == "jpeg" and touch.is_jpeg(stored):
-            return bytes(stored)
+            return stored
         return touch.encode_image(pixels, self.kind)
 
 
@@ -202,46 +206,47 @@ def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str,
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TouchPicture:
-    """The picture that represents a touch, and the pose of the gel at that moment.
+class ShownTouches:
+    """The picture that represents each touch of a round, and the pose of the gel at that moment.
 
-    ``images`` holds the picture at ``index``: the images of the round, or the clip whose frame it is.
-    ``pose`` has position and quaternion, seven numbers; it is empty if there are no poses.
+    ``images`` are the images of the round, or the clips, of which ``frames`` are shown. ``poses`` have
+    position and quaternion, shape (T, 7), or (T, 0) if there are no poses.
     """
 
-    touch: int
-    frame: int
-    images: media.SensorImages | media.TouchClip
-    index: int
-    pose: Floating
+    images: media.SensorImages | Sequence[media.TouchClip]
+    frames: Sequence[int]
+    poses: Floating
 
-    @property
-    def stored(self) -> memoryview:
-        """The picture as it is stored."""
-        return self.images.encoded(self.index)
+    def __len__(self) -> int:
+        return len(self.frames)
 
-    @property
-    def pixels(self) -> UInt8:
-        """The picture, decoded."""
-        return self.images[self.index]
+    def stored(self) -> pa.Array:
+        """Return the pictures as they are stored."""
+        if isinstance(self.images, media.SensorImages):
+            return self.images.stored()
+        pictures = [clip.encoded(frame) for clip, frame in zip(self.images, self.frames, strict=True)]
+        return pa.array(pictures, pa.binary())
+
+    def pixels(self, touch: int) -> UInt8:
+        """Return the picture of a touch, decoded."""
+        if isinstance(self.images, media.SensorImages):
+            return self.images[touch]
+        return self.images[touch][self.frames[touch]]
 
 
-def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) -> Iterator[TouchPicture]:
-    """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
+def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) -> ShownTouches:
+    """Return the picture of each touch of a round: its image, or the frame of its clip by some method."""
+    poses = np.empty((row.touch_total(), 7 if row.has_poses else 0))
     if row.kind == "single":
         images = rounds.TouchSingleRound(row).sensor_image
-        poses = np.empty((len(images), 0))
         if row.has_poses:
             poses = _pose_values(row.poses(), slice(None))
-        for touch in range(len(images)):
-            yield TouchPicture(touch, 0, images, touch, poses[touch])
-        return
-    for touch, clip in enumerate(media.SensorClips(row)):
-        frame = clip.contact_index(method)
-        pose = np.empty(0)
-        if row.has_poses:
-            pose = _pose_values(row.pose_sequences(touch)[0], frame)
-        yield TouchPicture(touch, frame, clip, frame, pose)
+        return ShownTouches(images, [0] * len(images), poses)
+    clips = list(media.SensorClips(row))
+    frames = [clip.contact_index(method) for clip in clips]
+    for number, frame in enumerate(frames if row.has_poses else ()):
+        poses[number] = _pose_values(row.pose_sequences(number)[0], frame)
+    return ShownTouches(clips, frames, poses)
 
 
 def _pose_values(at: Poses, index: int | slice) -> Float64:
@@ -249,7 +254,7 @@ def _pose_values(at: Poses, index: int | slice) -> Float64:
 
 
 def columns_of_touches(
-    row: stored_round.StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
+    row: stored_round.StoredRound, shown: ShownTouches, names: Sequence[str]
 ) -> dict[str, AnyArray | list[object]]:
     """Return the columns of a table of the touches of a round, as far as the source stores them."""
     label = row.label_value()
@@ -259,16 +264,13 @@ def columns_of_touches(
         "label_name": [dict(enumerate(names)).get(label)] * count,
         "round_id": [row.name()] * count,
         "touch": np.arange(count),
-        "frame": [picture.frame for picture in shown],
+        "frame": np.array(shown.frames, np.int64),
     }
     if row.has("object_id"):
         columns["object_id"] = np.full(count, row.integer("object_id"))
     if row.has("pos_in_cell"):
         columns |= dict(zip(touch_options.POSITION_COLUMNS, row.intended_positions().T, strict=True))
-    if shown:
-        columns |= dict(
-            zip(touch_options.POSE_COLUMNS, np.stack([picture.pose for picture in shown]).T, strict=False)
-        )
+    columns |= dict(zip(touch_options.POSE_COLUMNS, shown.poses.T, strict=False))
     for stored, field in plain_extras(row.group.table.schema).items():
         columns[field.name] = shown_extra(row, stored, shown)
     return columns
@@ -291,15 +293,14 @@ def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
     return fields
 
 
-def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
+def shown_extra(row: stored_round.StoredRound, stored: str, shown: ShownTouches) -> pa.Array:
     """Return an entry of a further column for each touch; for a column per frame, that of the shown frame."""
     entries = row.extra_entries(stored)
     if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
         return entries
     parts = [pa.nulls(0, entries.type.value_type)]
-    for picture in shown:
-        frames = row.extra_of_frames(stored, entries, picture.touch, picture.frame + 1)
-        parts.append(frames.slice(picture.frame))
+    for number, frame in enumerate(shown.frames):
+        parts.append(row.extra_of_frames(stored, entries, number, frame + 1).slice(frame))
     return pa.concat_arrays(parts)
 
 

@@ -22,7 +22,7 @@ from realtouch.convert import conversion, picture_files
 from realtouch.touches import datasets, loading, media, poses, rounds, schema, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import catalog, errors, kind, places, read, store
-from tactile_toolkit.touch import MEDIA_TYPE, ImageFormat, intact_size
+from tactile_toolkit.touch import MEDIA_TYPE, ImageFormat, doubtful_images, intact_size
 from tactile_toolkit.value_types import AnyArray, Int64
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "minari", "oxt", "replay", "fota", "anytouch"]
@@ -251,22 +251,17 @@ class _Touches:
     ) -> conversion.Made:
         """Return the touches of a round; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
-        shown = list(picture_files.shown_touches(row, self.method))
+        shown = picture_files.shown_touches(row, self.method)
         columns = picture_files.columns_of_touches(row, shown, self.names)
+        images = shown.stored()
+        for touch in doubtful_images(images):
+            with row.naming(row.media_column, touch, _WHERE[row.kind].format(shown.frames[touch])):
+                intact_size(images[touch].as_py())
         name = row.name()
-        images: list[memoryview] = []
-        prefix = _WHERE[row.kind]
-        for picture in shown:
-            images.append(picture.stored)
-            try:
-                intact_size(images[-1])
-            except ValueError:
-                with row.naming(row.media_column, picture.touch, prefix.format(picture.frame)):
-                    raise
-        columns["id"] = [rounds.touch_id(name, picture.touch) for picture in shown]
         stem = picture_files.stem_of_id(name)
+        columns["id"] = [rounds.touch_id(name, touch) for touch in range(len(shown))]
         columns[_TOUCH_IMAGE] = media.image_column(
-            images, [rounds.touch_id(stem, picture.touch) for picture in shown]
+            images, [rounds.touch_id(stem, touch) for touch in range(len(shown))]
         )
         return conversion.table_of_columns(self.schema(row.group.table.schema), columns), {}
 
@@ -366,7 +361,7 @@ class Episodes:
             columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
             columns |= {extra.name: extra.of_frames(row, touch, count) for extra in self.extras}
             columns["id"] = names = [f"{start}_{frame:04d}" for frame in range(count)]
-            columns[IMAGE] = media.image_column(images, names)
+            columns[IMAGE] = media.image_column(pa.array(images, pa.binary()), names)
             columns["frame_index"] = np.arange(count)
             columns["timestamp"] = (np.arange(count) / self.fps).astype(np.float32)
             tables.append(conversion.table_of_columns(schema, columns))

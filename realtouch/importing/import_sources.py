@@ -188,8 +188,9 @@ def _require(needs: Iterable[Need], layout: str) -> None:
 
 def _addresses(touches: source_touches.SourceTouches) -> Iterator[str]:
     """Yield the addresses of the files of touches, each once."""
-    for row in touches.listing.group_by(["home", "path"]).aggregate([]).to_pylist():
-        yield f"{row['home']}/{row['path']}".rstrip("/")
+    files = touches.listing.group_by(["home", "path"]).aggregate([])
+    for home, path in zip(files["home"].to_pylist(), files["path"].to_pylist(), strict=True):
+        yield f"{home}/{path}".rstrip("/")
 
 
 def _list_unread(home: store.DataFolder, layout: str, ledger: source_files.Ledger) -> None:

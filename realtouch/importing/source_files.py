@@ -67,16 +67,17 @@ class Ledger:
 
     def entries(self, home: store.DataFolder, folder: str = "") -> Mapping[str, int | None]:
         """List a sub-folder once, as :meth:`store.DataFolder.entries` does."""
-        address = home.address(folder)
+        address = f"{home.root}/{folder}"  # this runs for each image, so only `home.entries` checks the path
         if address not in self._listed:
             self._listed[address] = home.entries(folder)
         return self._listed[address]
 
     def unread(self, home: store.DataFolder, folder: str = "") -> Iterator[str]:
         """Yield the visible files and links of a folder that were not read."""
+        folder_address = home.address(folder)
         for name, size in self.entries(home, folder).items():
             path = f"{folder}/{name}".lstrip("/")
-            address = home.address(path)
+            address = f"{folder_address}/{name}"
             if store.is_hidden(path) or address in self.used:
                 continue
             if size is None and not (home.is_local and Path(address).is_symlink()):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import DTypeLike
 
 from realtouch import contact
@@ -175,6 +176,14 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
         if blob is None or len(blob) == 0:
             raise self.row.damaged("sensor_image", "no bytes are stored; expected an image", number)
         return blob
+
+    def stored(self) -> pa.Array:
+        """Return the stored bytes of all images, without copies; raises as :meth:`encoded`."""
+        names = [field.name for field in MEDIA_TYPE]
+        images = self.row.extra_entries(self.name).flatten()[names.index("bytes")]
+        for touch in np.flatnonzero(pc.fill_null(pc.binary_length(images), 0).to_numpy() == 0).tolist():
+            self.encoded(touch)
+        return images
 
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
@@ -548,20 +557,21 @@ def evenly_spaced(count: int, most: int) -> list[int]:
     return indices
 
 
-def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+def media_array(contents: pa.Array | Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
     """Return encoded images or clips, and the names of their files, as they are stored."""
-    parts = [pa.array(contents, pa.binary()), pa.array(names, pa.string())]
+    stored = contents if isinstance(contents, pa.Array) else pa.array(contents, pa.binary())
+    parts = [stored, pa.array(names, pa.string())]
     return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
 
 
-def numbered_media(contents: Sequence[bytes | memoryview], suffix: str) -> pa.Array:
+def numbered_media(contents: pa.Array | Sequence[bytes | memoryview], suffix: str) -> pa.Array:
     """Return the encoded images or clips of the touches of a round; their files are ``TOUCH.suffix``."""
     return media_array(contents, [f"{touch:03d}.{suffix}" for touch in range(len(contents))])
 
 
-def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+def image_column(images: pa.Array, names: Sequence[str]) -> pa.Array:
     """Return images as a column with file names, whose endings follow from their first bytes."""
-    endings = (_ENDINGS.get(bytes(image[:2]), "webp") for image in images)
+    endings = (_ENDINGS.get(start, "webp") for start in pc.binary_slice(images, 0, 2).to_pylist())
     paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
     return media_array(images, paths)
 

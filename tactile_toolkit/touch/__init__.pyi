@@ -13,6 +13,7 @@ from .images import (
     CLASS_NAMES as CLASS_NAMES,
     decode_grey as decode_grey,
     decode_image as decode_image,
+    doubtful_images as doubtful_images,
     encode_image as encode_image,
     image_size as image_size,
     IMAGE_SUFFIX as IMAGE_SUFFIX,

@@ -60,7 +60,7 @@ _HEIF_STARTS = (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypmsf1")
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_END = b"\xff\xd9"
-_APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
+_APP1 = re.compile(b"\xff\xe1")  # these bytes never occur within coded pixels
 _ORIENTATION = 0x0112
 _BITS_PER_SAMPLE = 0x0102  # tag of TIFF
 # Pillow reduces these to 8 bits a colour without a word. In JPEG 2000, the number is one less than the bits
@@ -155,9 +155,40 @@ def intact_size(data: bytes | memoryview, *, is_upright: bool = False) -> tuple[
                 f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
             ) from error
     # JPEGs have both in such a segment, and opening an image takes a while.
-    if is_upright and not (is_jpeg(data) and _APP1 not in bytes(data)):
+    if is_upright and not (is_jpeg(data) and _APP1.search(data) is None):
         _require_upright(data)
     return size
+
+
+def doubtful_images(images: pa.Array) -> list[int]:
+    """Return the indices of those of some encoded images that :func:`intact_size` must judge.
+
+    The others are JPEGs with few scans and the mark of their end, and the header of one that it judges: a
+    camera writes one header, which takes most of the time.
+    """
+    offsets = np.frombuffer(images.buffers()[1], np.int32)[images.offset :][: len(images) + 1].astype(
+        np.int64
+    )
+    data = np.frombuffer(images.buffers()[2] or b"", np.uint8)
+    starts, ends = offsets[:-1], offsets[1:]
+    # As in `require_bounded_jpeg`, for all at once.
+    high, low = _SCAN_START.pattern
+    marks = offsets[0] + np.flatnonzero(data[offsets[0] : max(offsets[-1] - 1, 0)] == high)
+    marks = marks[data[marks + 1] == low]
+    first, last = np.searchsorted(marks, (starts, ends))
+    has_few_scans = (last > first) & (last - first <= MAX_SCANS)
+    judged = set[bytes]()
+    doubtful = []
+    for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        header = b""
+        if has_few_scans[index] and data[end - 2 : end].tobytes() == _JPEG_END:
+            scan = int(marks[first[index]]) + 2
+            header = data[start : scan + (int(data[scan]) << 8) + int(data[scan + 1])].tobytes()
+        if header not in judged:
+            doubtful.append(index)
+            if is_jpeg(header):
+                judged.add(header)
+    return doubtful
 
 
 def _require_upright(data: bytes | memoryview) -> None:

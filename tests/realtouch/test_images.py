@@ -5,12 +5,15 @@ import threading
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given, strategies as st
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.touch import decode_image, encode_image, image_size
+from tactile_toolkit.touch import decode_image, doubtful_images, encode_image, image_size, intact_size
+from tests.jpegs import jpeg_of_scans
+from tests.mutations import mutated
 from tests.realtouch.factories import encode_jpeg
 
 PICTURES = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
@@ -93,6 +96,29 @@ def test_a_picture_of_another_size_than_its_place_is_refused(kind: str, size: tu
     out = np.zeros((24, 32, 3), np.uint8)
     with pytest.raises(ValueError, match=f"an image of {size[1]} x {size[0]} pixels; expected 32 x 24"):
         decode_image(encode_image(smooth(*size), kind), out)
+
+
+def test_images_without_a_closer_look_are_whole() -> None:
+    """Whatever is wrong with an image of a batch, it is judged alone, or is as intact as alone."""
+    rng = np.random.default_rng(0)
+    first, second = (encode_jpeg(rng.integers(0, 255, (32, 32, 3), np.uint8)) for _ in range(2))
+    cut = [second[:length] for length in range(0, len(second), 7)]
+    strange = [
+        b"",
+        b"\xff\xda",
+        second + b"\0",
+        *[jpeg_of_scans(300)] * 2,
+        encode_image(decode_image(first), "png"),
+    ]
+    changed = [mutated(second, seed) for seed in range(400)]
+    images = [first, second, *cut, *strange, *changed, second, first]
+    for start in (0, 1, 5):  # Arrow passes slices on
+        judged = doubtful_images(pa.array([b"before", *images], pa.binary()).slice(start + 1))
+        damaged = range(2, 2 + len(cut) + len(strange))
+        assert {number - start for number in damaged if number >= start} <= {*judged}
+        assert {len(images) - start - 2, len(images) - start - 1}.isdisjoint(judged)
+        for number in {*range(len(images) - start)} - {*judged}:
+            intact_size(images[start + number])
 
 
 def test_other_bytes_are_named() -> None:
