@@ -19,7 +19,7 @@ from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import MISTAKES, Family, digits, draw_sensor
 from tests.tactile_sim.twin_scores import recordings_of
 
-SIZE = (160, 120)
+SIZE = (120, 90)
 
 
 @cache
