@@ -147,10 +147,16 @@ def _render(
     return frames
 
 
-def encode_jpeg(pixels: np.ndarray, quality: int = 90) -> bytes:
+def encoded(pixels: np.ndarray | Pictures.Image, kind: str, **options: Any) -> bytes:
+    """Encode pixels, or a picture of Pillow, by Pillow."""
     stream = io.BytesIO()
-    Pictures.fromarray(pixels).save(stream, "JPEG", quality=quality)
+    picture = pixels if isinstance(pixels, Pictures.Image) else Pictures.fromarray(pixels)
+    picture.save(stream, kind, **options)
     return stream.getvalue()
+
+
+def encode_jpeg(pixels: np.ndarray, quality: int = 90) -> bytes:
+    return encoded(pixels, "JPEG", quality=quality)
 
 
 def encode_avi(frames: np.ndarray, codec: str = "mjpeg", container: str = "avi") -> bytes:

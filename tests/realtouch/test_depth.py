@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import pickle
 from dataclasses import dataclass
@@ -59,9 +58,7 @@ def test_maps_keep_micrometres_and_refuse_what_they_cannot_hold() -> None:
     for wrong in (np.array([[np.nan]]), np.array([[0.07]])):
         with pytest.raises(InputError, match=r"expected finite numbers of at most 0\.065535 m"):
             encode_map(wrong)
-    stream = io.BytesIO()
-    Image.new("L", (4, 4)).save(stream, "PNG")
-    for other in (stream.getvalue(), b"", encode_map(depth_m)[:60]):
+    for other in (factories.encoded(Image.new("L", (4, 4)), "PNG"), b"", encode_map(depth_m)[:60]):
         with pytest.raises(ValueError, match="expected a"):
             np.asarray(decode_map(other))
 

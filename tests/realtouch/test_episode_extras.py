@@ -23,6 +23,7 @@ from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import decode_image
+from tests.realtouch.factories import encoded
 from tests.realtouch.found import per_frame
 
 FORCE = "observation.force_n"
@@ -147,10 +148,7 @@ def with_depth(source: Path, home: Path) -> tuple[Path, list[np.ndarray]]:
     counts = random.integers(0, 2**16, (3, 5, height, width), np.uint16)
     files: list[list[dict[str, Any]]] = []
     for maps in counts:
-        streams = [io.BytesIO() for _ in maps]
-        for stream, each in zip(streams, maps, strict=True):
-            Image.fromarray(each).save(stream, "PNG")
-        files.append([{"bytes": stream.getvalue(), "path": None} for stream in streams])
+        files.append([{"bytes": encoded(each, "PNG"), "path": None} for each in maps])
     return with_extras(source, home, {"depth_um": files}), list(counts.reshape(15, height, width) / 1e6)
 
 
@@ -183,9 +181,8 @@ def test_a_map_of_another_size_is_named(single_folder: Path, tmp_path: Path) -> 
     home, _ = with_depth(single_folder, tmp_path / "home")
     (path,) = (home / "data").glob("*.parquet")
     table = pq.read_table(path)
-    maps, stream = table["depth_um"].to_pylist(), io.BytesIO()
-    Image.fromarray(np.zeros((2, 3), np.uint16)).save(stream, "PNG")
-    maps[1][4]["bytes"] = stream.getvalue()
+    maps = table["depth_um"].to_pylist()
+    maps[1][4]["bytes"] = encoded(np.zeros((2, 3), np.uint16), "PNG")
     place = table.schema.get_field_index("depth_um")
     table = table.set_column(place, "depth_um", pa.array(maps, table.schema.field("depth_um").type))
     pq.write_table(table, path, row_group_size=1)

@@ -14,7 +14,7 @@ import realtouch
 from tactile_toolkit.touch import decode_image, doubtful_images, encode_image, image_size, intact_size
 from tests.jpegs import jpeg_of_scans
 from tests.mutations import mutated
-from tests.realtouch.factories import encode_jpeg
+from tests.realtouch.factories import encode_jpeg, encoded
 
 PICTURES = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
 
@@ -30,9 +30,7 @@ def pillow(data: bytes) -> np.ndarray:
 
 @given(st.integers(1, 70), st.integers(1, 70), st.integers(10, 100), st.sampled_from([0, 1, 2]))
 def test_pixels_equal_those_of_pillow(height: int, width: int, quality: int, sampling: int) -> None:
-    stream = io.BytesIO()
-    Image.fromarray(smooth(height, width)).save(stream, "JPEG", quality=quality, subsampling=sampling)
-    data = stream.getvalue()
+    data = encoded(smooth(height, width), "JPEG", quality=quality, subsampling=sampling)
     np.testing.assert_array_equal(decode_image(data), pillow(data))
     out = np.zeros((height, width, 3), np.uint8)
     assert decode_image(memoryview(data), out) is out
@@ -41,20 +39,18 @@ def test_pixels_equal_those_of_pillow(height: int, width: int, quality: int, sam
 
 
 def test_grey_and_progressive_jpegs_are_rgb() -> None:
-    for options in ({"progressive": True}, {"optimize": True}):
-        stream = io.BytesIO()
-        Image.fromarray(smooth(20, 30)).save(stream, "JPEG", **options)
-        np.testing.assert_array_equal(decode_image(stream.getvalue()), pillow(stream.getvalue()))
-    stream = io.BytesIO()
-    Image.fromarray(smooth(20, 30)[..., 0]).save(stream, "JPEG")
-    np.testing.assert_array_equal(decode_image(stream.getvalue()), pillow(stream.getvalue()))
+    pixels = smooth(20, 30)
+    for data in (
+        encoded(pixels, "JPEG", progressive=True),
+        encoded(pixels, "JPEG", optimize=True),
+        encoded(pixels[..., 0], "JPEG"),
+    ):
+        np.testing.assert_array_equal(decode_image(data), pillow(data))
 
 
 @pytest.mark.parametrize("kind", ["PNG", "WEBP"])
 def test_lossless_formats_keep_their_pixels(kind: str) -> None:
-    stream = io.BytesIO()
-    Image.fromarray(PICTURES).save(stream, kind, lossless=True)
-    np.testing.assert_array_equal(decode_image(stream.getvalue()), PICTURES)
+    np.testing.assert_array_equal(decode_image(encoded(PICTURES, kind, lossless=True)), PICTURES)
     np.testing.assert_array_equal(decode_image(encode_image(PICTURES, "png")), PICTURES)
 
 

@@ -18,6 +18,7 @@ from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import pictures_by_file
 from realtouch.importing.source_touches import PictureLocation
 from tactile_toolkit.errors import InputError, SpecMismatchError
+from tests.realtouch.factories import encoded
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -104,9 +105,7 @@ def test_images_that_programs_show_differently(tmp_path: Path) -> None:
 
 def _png(*chunks: tuple[bytes, bytes], late: bool = False) -> bytes:
     """Return a PNG with further chunks before its pixels, or after them."""
-    stream = io.BytesIO()
-    Image.new("RGB", (32, 24), (9, 9, 9)).save(stream, "PNG")
-    content = stream.getvalue()
+    content = encoded(Image.new("RGB", (32, 24), (9, 9, 9)), "PNG")
     more = b"".join(
         len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
         for kind, data in chunks
@@ -124,25 +123,19 @@ def _turned_images() -> dict[str, bytes]:
     far, upright = Image.Exif(), Image.new("RGB", (32, 24), (9, 9, 9))
     far[0x0112], far[0x010E] = 6, "x" * 9000
     comment = b"\xff\xfe" + (9000).to_bytes(2, "big") + bytes(8998)
-
-    def saved(kind: str, **options: Any) -> bytes:
-        stream = io.BytesIO()
-        upright.save(stream, kind, **options)
-        return stream.getvalue()
-
-    jpeg = saved("JPEG", exif=exif)
+    jpeg = encoded(upright, "JPEG", exif=exif)
     raw = f"\nexif\n{len(tiff) + 6:8}\n{(b'Exif' + bytes(2) + tiff).hex()}\n".encode()
     return {
         "near.jpg": jpeg,
         "far.jpg": jpeg[:2] + comment + jpeg[2:],
-        "large.jpg": saved("JPEG", exif=far),
-        "xmp.jpg": saved("JPEG", xmp=xmp),
+        "large.jpg": encoded(upright, "JPEG", exif=far),
+        "xmp.jpg": encoded(upright, "JPEG", xmp=xmp),
         "exif.png": _png((b"eXIf", tiff)),
         "late.png": _png((b"eXIf", tiff), late=True),
         "raw.png": _png((b"zTXt", b"Raw profile type exif\0\0" + zlib.compress(raw))),
         "xmp.png": _png((b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + xmp)),
-        "exif.webp": saved("WEBP", exif=exif, lossless=True),
-        "xmp.webp": saved("WEBP", xmp=xmp, lossless=True),
+        "exif.webp": encoded(upright, "WEBP", exif=exif, lossless=True),
+        "xmp.webp": encoded(upright, "WEBP", xmp=xmp, lossless=True),
     }
 
 
@@ -153,12 +146,11 @@ def test_every_mark_of_a_turned_image_is_found(tmp_path: Path) -> None:
     for content in images.values():  # otherwise the test has no effect
         with Image.open(io.BytesIO(content)) as image:
             assert ImageOps.exif_transpose(image).size == (24, 32)
-    stream = io.BytesIO()
     odd = Image.Exif()
     odd[0x0112] = 9  # which turns nothing
-    Image.new("RGB", (32, 24)).save(stream, "JPEG", exif=odd)
+    other = encoded(Image.new("RGB", (32, 24)), "JPEG", exif=odd)
     # Bytes after the end marker are not part of an image.
-    images |= {"odd.jpg": stream.getvalue(), "text.jpg": picture(3) + b"Exif", "plain.png": _png()}
+    images |= {"odd.jpg": other, "text.jpg": picture(3) + b"Exif", "plain.png": _png()}
     for name, content in images.items():
         (home / name).write_bytes(content)
     write_table(home, [{"file": name, "label": 1} for name in images])

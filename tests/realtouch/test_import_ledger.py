@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,14 @@ from realtouch.importing import import_plan, import_preview
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import images, intact_size, storable_image
 from tests.mutations import mutated
+from tests.realtouch import factories
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
 
 
 def encoded(kind: str, pixels: Any = PIXELS, **options: Any) -> bytes:
-    stream = io.BytesIO()
-    image = pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)
-    image.save(stream, kind, **options)
-    return stream.getvalue()
+    return factories.encoded(pixels, kind, **options)
 
 
 def write(home: Path, files: dict[str, bytes]) -> Path:

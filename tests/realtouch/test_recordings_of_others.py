@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import io
 import json
 import os
 import re
@@ -333,12 +332,10 @@ def test_importers_open_only_regular_files_below_the_source(home: Path, tmp_path
 
 
 def test_stored_text_has_no_messages_of_libraries_or_addresses_of_objects(home: Path, tmp_path: Path) -> None:
-    stream = io.BytesIO()
-    Image.new("RGB", (32, 24)).save(stream, "BMP")
     spoiled = bytearray(picture(9))
     spoiled[20:60] = bytes(40)
     images = {
-        "0.bmp": stream.getvalue(),
+        "0.bmp": factories.encoded(Image.new("RGB", (32, 24)), "BMP"),
         "1.png": b"\x89PNG\r\n\x1a\nno",
         "2.jpg": bytes(spoiled),
         "3.webp": b"RIFF",

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import av
 import numpy as np
-from PIL import Image
 
 from tactile_toolkit.value_types import UInt8
+from tests.realtouch.factories import encode_jpeg
 
 HEIGHT, WIDTH = 48, 64
 FPS = 30
@@ -72,9 +72,7 @@ def psnr_db(found: UInt8, wanted: UInt8) -> float:
 
 
 def jpeg(number: int) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(picture(number)).save(stream, "JPEG", quality=90)
-    return stream.getvalue()
+    return encode_jpeg(picture(number))
 
 
 def chunk(name: bytes, content: bytes) -> bytes:
