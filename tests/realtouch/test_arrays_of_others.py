@@ -6,6 +6,7 @@ import io
 import json
 import os
 import pickle
+import sys
 import zipfile
 import zlib
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 import realtouch
 from realtouch.formats.zarr_export import ZarrWriter
 from realtouch.importing import import_sources
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tests.command_line import call
 
 FRAMES = np.random.default_rng(3).integers(0, 256, (6, 12, 16, 3), np.uint8)
@@ -216,6 +217,25 @@ def test_episodes_are_as_many_as_frames_at_most(tmp_path: Path) -> None:
     refused(home, "episode_ends")
 
 
+def test_a_replay_buffer_is_one_group(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    refused(source, "should hold one Zarr group; found none; next: give the folder")
+    for name in ("a.zarr", "b.zarr.zip"):
+        (source / name).mkdir()
+    refused(source, r"should hold one Zarr group; found a\.zarr, b\.zarr\.zip; next: give the folder")
+    (source / "a.zarr").rmdir()
+    refused(source, "has no arrays in its group 'data'; expected a replay buffer")
+
+
+def test_a_packer_that_is_not_there_is_named_with_its_extra(tmp_path, monkeypatch):
+    home = unzipped(write_zip(tmp_path / "b.zarr.zip"))
+    restate(home, compressor={"id": "blosc"})
+    monkeypatch.setitem(sys.modules, "numcodecs.blosc", None)
+    with pytest.raises(MissingExtraError, match=r"needs the package 'numcodecs'.*the extra `zarr`"):
+        imported(home, tmp_path / "out")
+
+
 @pytest.mark.thorough
 def test_a_chunk_is_not_unpacked_beyond_its_size(tmp_path: Path) -> None:
     """A few bytes may unpack to gigabytes; a zip multiplies that by a thousand."""
@@ -228,7 +248,6 @@ def test_a_chunk_is_not_unpacked_beyond_its_size(tmp_path: Path) -> None:
         chunk.write_bytes(content)
         refused(home, r"0\.0\.0\.0.*(damaged chunk; expected 3,456 bytes|a file of more than)")
     (home / ".zgroup").unlink()
-    refused(home, "should hold one Zarr group; found none")
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in ("data/img/.zarray", "meta/episode_ends/.zarray", "meta/episode_ends/0"):

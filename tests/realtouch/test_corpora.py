@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import sys
 import tarfile
 import zipfile
 import zlib
@@ -17,8 +16,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.formats.zarr_export import ZarrWriter
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 from tests.realtouch.test_exchange import expected
@@ -166,30 +164,3 @@ def test_an_image_damaged_in_its_middle_is_named(layout, single_rows, tmp_path):
     factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
     with pytest.raises(IntegrityError, match=r"(000|image 0).*cannot be decoded.*tactile select"):
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
-
-
-def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(tmp_path, monkeypatch):
-    def refused(error: type[Exception], words: str) -> None:
-        with pytest.raises(error, match=words):
-            realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec("replay"))
-
-    source = tmp_path / "source"
-    source.mkdir()
-    refused(InputError, "should hold one Zarr group; found none; next: give the folder")
-    for name in ("a.zarr", "b.zarr.zip"):
-        (source / name).mkdir(parents=True)
-    refused(InputError, "should hold one Zarr group; found a.zarr, b.zarr.zip; next: give the folder")
-    (source / "a.zarr").rmdir()
-    refused(InputError, "has no arrays in its group 'data'; expected a replay buffer")
-    (source / "b.zarr.zip").rmdir()
-    pixels = np.zeros((2, 4, 4, 3), np.uint8)
-    with (source / "b.zarr.zip").open("wb") as stream, ZarrWriter(stream) as group:
-        for name, values in (("data/tactile", pixels), ("meta/episode_ends", np.array([2]))):
-            group.add_array(name, values)
-    with zipfile.ZipFile(source / "b.zarr.zip") as archive:
-        archive.extractall(source / "b.zarr")
-    (source / "b.zarr.zip").unlink()
-    stated = source / "b.zarr" / "data" / "tactile" / ".zarray"
-    stated.write_text(stated.read_text().replace('"id": "zlib"', '"id": "blosc"'))
-    monkeypatch.setitem(sys.modules, "numcodecs.blosc", None)
-    refused(MissingExtraError, "reading this Zarr group needs the package 'numcodecs'.*the extra `zarr`")

@@ -121,9 +121,16 @@ def test_damage_is_named_with_its_touch(place, message, truth, tmp_path):
                 ask(threads=threads)
 
 
+@pytest.mark.parametrize("count", [0, 1, 1_000])
+def test_every_task_is_done_once(count: int) -> None:
+    done: list[int] = []
+    in_parallel(done.append, count, 3)
+    assert sorted(done) == list(range(count))
+
+
 @pytest.mark.parametrize("wrong", [0, 57, 999])
 def test_an_error_ends_the_work_of_all_threads(wrong: int) -> None:
-    """In any thread; the others start no further work. Without an error, all is done once."""
+    """In any thread; the others start no further work."""
     done: list[int] = []
 
     def work(piece: int) -> None:
@@ -136,6 +143,3 @@ def test_an_error_ends_the_work_of_all_threads(wrong: int) -> None:
         in_parallel(work, 1_000, 3)
     assert threading.active_count() == before
     assert wrong not in done
-    done.clear()
-    in_parallel(done.append, 1_000, 3)
-    assert sorted(done) == list(range(1_000))
