@@ -271,7 +271,8 @@ def columns_of_touches(
     if row.has("pos_in_cell"):
         columns |= dict(zip(touch_options.POSITION_COLUMNS, row.intended_positions().T, strict=True))
     columns |= dict(zip(touch_options.POSE_COLUMNS, shown.poses.T, strict=False))
-    for stored, field in plain_extras(row.group.table.schema).items():
+    extras = row.group.once("plain extras", lambda: plain_extras(row.group.table.schema))
+    for stored, field in extras.items():
         columns[field.name] = shown_extra(row, stored, shown)
     return columns
 

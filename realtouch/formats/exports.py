@@ -263,7 +263,8 @@ class _Touches:
         columns[_TOUCH_IMAGE] = media.image_column(
             images, [rounds.touch_id(stem, touch) for touch in range(len(shown))]
         )
-        return conversion.table_of_columns(self.schema(row.group.table.schema), columns), {}
+        table_schema = row.group.once("columns of an export", lambda: self.schema(row.group.table.schema))
+        return conversion.table_of_columns(table_schema, columns), {}
 
 
 @dataclass(frozen=True)
