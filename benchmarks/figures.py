@@ -24,7 +24,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results.json"
@@ -47,14 +47,6 @@ _UNITS = {
     "bytes": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "bytes")),
 }
 
-
-class Benchmark(NamedTuple):
-    """How a script is called, and what of the toolkit its figures are of."""
-
-    code: tuple[str, ...]
-    arguments: tuple[str, ...] = ()
-
-
 _STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
 _READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
 _DIGIT = (
@@ -63,57 +55,44 @@ _DIGIT = (
     "mnist3d/digit_records.py",
     "mnist3d/digit_generation.py",
 )
-BENCHMARKS = {
-    "pipeline": Benchmark(
-        (
-            *("benchmarks/pipeline.py", "benchmarks/plain_digit.py", *_DIGIT, "mnist3d/sources"),
-            *("tactile_toolkit/mesh", *_STORE, *_READ),
-        )
+BENCHMARKS: dict[str, tuple[str, ...]] = {
+    "pipeline": (
+        *("benchmarks/pipeline.py", "benchmarks/plain_digit.py", *_DIGIT, "mnist3d/sources"),
+        *("tactile_toolkit/mesh", *_STORE, *_READ),
     ),
-    "starstruck": Benchmark(("starstruck_gen", *_STORE)),
-    "real_touches": Benchmark(
-        (
-            "realtouch/touches/media.py",
-            "realtouch/touches/stored_round.py",
-            "realtouch/touches/datasets.py",
-            "tactile_toolkit/touch",
-            *_READ,
-        )
+    "starstruck": ("starstruck_gen", *_STORE),
+    "real_touches": (
+        "realtouch/touches/media.py",
+        "realtouch/touches/stored_round.py",
+        "realtouch/touches/datasets.py",
+        "tactile_toolkit/touch",
+        *_READ,
     ),
-    "exchange": Benchmark(
-        (
-            "benchmarks/exchange.py",
-            "realtouch/formats",
-            "realtouch/importing",
-            "realtouch/convert",
-            "tactile_toolkit/touch",
-            *_STORE,
-        ),
-        ("--rounds", "40"),
+    "exchange": (
+        "benchmarks/exchange.py",
+        "realtouch/formats",
+        "realtouch/importing",
+        "realtouch/convert",
+        "tactile_toolkit/touch",
+        *_STORE,
     ),
-    "simulators": Benchmark(("tactile_toolkit/printing/simulator.py",)),
-    "height_maps": Benchmark(
-        (
-            "env_assets/mesh_view.py",
-            "tactile_toolkit/mesh/raster.py",
-        )
+    "simulators": ("tactile_toolkit/printing/simulator.py",),
+    "height_maps": ("env_assets/mesh_view.py", "tactile_toolkit/mesh/raster.py"),
+    "native_environments": ("tactile_envs",),
+    "learned_optics": ("tactile_sim/learned",),
+    "touches": ("tactile_sim",),
+    "twin_speed": (
+        "benchmarks/twin_speed.py",
+        "tactile_sim/twin",
+        "tactile_sim/optics/rendering.py",
+        "tactile_sim/optics/taxim_kernels.py",
     ),
-    "native_environments": Benchmark(("tactile_envs",)),
-    "learned_optics": Benchmark(("tactile_sim/learned",)),
-    "touches": Benchmark(("tactile_sim",)),
-    "twin_speed": Benchmark(
-        (
-            "benchmarks/twin_speed.py",
-            "tactile_sim/twin",
-            "tactile_sim/optics/rendering.py",
-            "tactile_sim/optics/taxim_kernels.py",
-        )
-    ),
-    "elastic": Benchmark(("tactile_sim/elastic",)),
-    "loop": Benchmark(("tactile_sim/loop", "tactile_sim/mujoco.py", "tactile_sim/elastic")),
-    "training_order": Benchmark(("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ)),
-    "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
+    "elastic": ("tactile_sim/elastic",),
+    "loop": ("tactile_sim/loop", "tactile_sim/mujoco.py", "tactile_sim/elastic"),
+    "training_order": ("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ),
+    "scale": (*_STORE, "mnist3d/digit_generation.py"),
 }
+"""Scripts by name, and what of the toolkit their figures are of."""
 
 SHOWN = (
     ("pipeline.plain_mean", "a digit drawn, made, checked and written"),
@@ -275,7 +254,7 @@ def measured(name: str, figures: list[dict[str, Any]], taken_s: float) -> dict[s
         "versions": {"python": platform.python_version(), **versions},
         "minutes": round(taken_s / 60, 1),
         "load": round(os.getloadavg()[1], 1),  # of the last five minutes
-        "code": fingerprint(BENCHMARKS[name].code),
+        "code": fingerprint(BENCHMARKS[name]),
         "figures": figures,
     }
 
@@ -333,7 +312,7 @@ def _runs(results: Mapping[str, Any]) -> list[str]:
         dates = " to ".join(sorted({min(found)[0], max(found)[0]}))
         lines.append(f"- {machine}, {dates}: {', '.join(name for _, name in found)}.")
     lines.append(f"- Versions: {', '.join(versions)}.")
-    is_aged = {name: fingerprint(BENCHMARKS[name].code) != result["code"] for name, result in results.items()}
+    is_aged = {name: fingerprint(BENCHMARKS[name]) != result["code"] for name, result in results.items()}
     aged = "all" if all(is_aged.values()) else ", ".join(f"`{name}`" for name in is_aged if is_aged[name])
     return lines + ([f"- Code changed after the measurement: {aged}."] if aged else [])
 
@@ -377,7 +356,7 @@ def main() -> None:
         started_s = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             kept = Path(folder) / "figures.jsonl"
-            command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *BENCHMARKS[name].arguments]
+            command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py")]
             code = subprocess.run(command, env=os.environ | {FIGURES_FILE: str(kept)}, check=False).returncode
             told = kept.read_text().splitlines() if kept.exists() else []
         if code or not told:

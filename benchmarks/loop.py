@@ -145,8 +145,8 @@ def main() -> None:
     for number, dt_s in (("2", 0.002), ("05", 0.0005)):
         words = f"ball {{}}, steps of {1e3 * dt_s:g} ms"
         error, swing = force_at_rest(dt_s)
-        tell(f"weight_{number}", words.format("at rest: mean force off its weight"), 100 * error, "%")
-        tell(f"swing_{number}", words.format("at rest: greatest swing of the force"), 100 * swing, "%")
+        tell(f"weight_{number}", words.format("at rest: mean force off its weight"), 1e6 * error, "ppm")
+        tell(f"swing_{number}", words.format("at rest: greatest swing of the force"), 1e6 * swing, "ppm")
         tops = np.array(heights_of_bounces(dt_s, 0.0)[:5])
         words = words.format("without relaxation: error of the height of five bounces")
         tell(f"bounce_{number}", words, 100 * float(abs(tops - 1).max()), "%")
