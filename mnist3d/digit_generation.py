@@ -13,7 +13,6 @@ import pyarrow as pa
 
 from mnist3d import digit_options, digit_records
 from mnist3d.kind import KIND
-from mnist3d.solid import algorithm
 from mnist3d.sources import digit_arrays, digit_source, digit_tables, picture_folder, synthetic
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.checked_fields import check_fields, integer
@@ -237,6 +236,8 @@ def _has_drawings(catalog: digit_source.DigitCatalog) -> bool:
 
 
 def _solid(spec: DigitSetSpec, is_drawing: bool, digit_id: int) -> mesh.Mesh:
+    from mnist3d.solid import algorithm  # numba, which only workers need
+
     return algorithm.solid_of_sheet(spec.source.image(digit_id).pixels, spec.solid, is_drawing=is_drawing)
 
 
@@ -247,6 +248,8 @@ def make_row(digit_id: int, spec: DigitSetSpec, *, is_drawing: bool = False) -> 
     cannot be used, or the mesh does not bound a solid; the reason is one of
     :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`.
     """
+    from mnist3d.solid import algorithm  # numba, which only workers need
+
     digit = spec.source.image(digit_id)
     digit_name = f"digit {digit_id} of source {spec.source.name!r}"
     try:

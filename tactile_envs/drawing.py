@@ -109,13 +109,13 @@ class EnvDrawing:
 def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UInt8:
     """Draw one environment, (240, 336, 3) uint8; ``index`` is the number of its prediction."""
     per_m = (_SIDE_PX - 1) / max(scene.cell_m)
-    heights = np.zeros((_SIDE_PX, _SIDE_PX + touch_kernels.PADDING), np.float32)
+    workspace = touch_kernels.allocate_workspace((_SIDE_PX, _SIDE_PX))
     if scene.pool is not None:
         x_px, y_px = scene.placement[:2] * per_m + (_SIDE_PX - 1) / 2
         turn = float(scene.placement[2])
         placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
-        touch_kernels.raise_object(heights, scene.pool.arrays, scene.number, placed)
-    surface = heights[::-1, :_SIDE_PX]
+        touch_kernels.raise_object(scene.pool.arrays, scene.number, placed, workspace)
+    surface = workspace[0][::-1, :_SIDE_PX]
     down, right = np.gradient(surface * np.float32(per_m))
     # Light from the upper left; higher surfaces are brighter.
     light = np.clip(0.55 + 0.12 * (down + right) + 12 * surface, 0.1, 0.95)[..., None]

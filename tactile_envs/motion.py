@@ -13,7 +13,7 @@ import numpy as np
 from tactile_envs.config import Action, EpisodeConfig, Options
 from tactile_envs.episode_kernels import aim
 from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.touch_kernels import PADDING, Cells, SensorReadings, Setting, touch
+from tactile_envs.touch_kernels import Cells, SensorReadings, Setting, Workspace, allocate_workspace, touch
 from tactile_sim import Sensor
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Float32, Float64, Int64
@@ -256,8 +256,8 @@ def _numbers(value: object) -> Float64 | None:
     return numbers if np.isfinite(numbers).all() else None
 
 
-Press = Callable[[int, int, Float32, SensorReadings], None]
-"""Presses the sensors from the first number to before the second; further arguments: work array, results."""
+Press = Callable[[int, int, Workspace, SensorReadings], None]
+"""Presses the sensors from the first number to before the second; further arguments: work arrays, results."""
 
 
 class Toucher:
@@ -287,8 +287,7 @@ class Toucher:
         per_m = size_px[0] / sensor.window_m[0]
         self.window = np.array([per_m, *middle, sensor.press_m, sensor.gel_m, least_m])
         self._most_parts = max(1, (threads > 1) * threads * _PARTS_A_THREAD)
-        shape = (size_px[1], size_px[0] + PADDING)
-        self._work_arrays = [np.empty(shape, np.float32) for _ in range(min(threads, num_envs))]
+        self._workspaces = [allocate_workspace(size_px) for _ in range(min(threads, num_envs))]
         self._threads: ThreadPoolExecutor | None = None
 
     def __getstate__(self) -> dict[str, object]:
@@ -301,8 +300,8 @@ class Toucher:
         """Press the sensors of cells onto their objects, which slip by ``drift``; both are moved."""
         setting = Setting(self.window, motion.numbers, drift)
 
-        def press(begin: int, end: int, heights: Float32, readings: SensorReadings) -> None:
-            touch(begin, end, setting, pool.arrays, cells, heights, readings)
+        def press(begin: int, end: int, workspace: Workspace, readings: SensorReadings) -> None:
+            touch(begin, end, setting, pool.arrays, cells, workspace, readings)
 
         return self.shared(len(cells.numbers), press, with_depth=with_depth)
 
@@ -323,15 +322,15 @@ class Toucher:
         # Shared by the threads: taking the next is one step for all of them.
         parts = iter(range(0, count, size))
 
-        def run(heights: Float32) -> None:
+        def run(workspace: Workspace) -> None:
             for begin in parts:
-                press(begin, min(begin + size, count), heights, readings)
+                press(begin, min(begin + size, count), workspace, readings)
 
         helpers = []
-        first, *others = self._work_arrays
+        first, *others = self._workspaces
         if others:
             self._threads = self._threads or ThreadPoolExecutor(len(others))
-            helpers = [self._threads.submit(run, heights) for heights in others]
+            helpers = [self._threads.submit(run, workspace) for workspace in others]
         run(first)
         for helper in helpers:
             if not helper.cancel():  # a thread that did not start has no work left

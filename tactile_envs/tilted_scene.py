@@ -23,15 +23,15 @@ from tactile_envs.touch_kernels import (
     SensorReadings,
     Setting,
     Workspace,
-    allocate_workspace,
     draw_touch,
+    fill,
     highest_of,
     observe_and_slip,
     raise_within,
     write_edge,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kernels import compiled
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import Float32, Float64, Int64
 
 _TURN, _TURNED = "sensor_target_rot_rel", "sensor_rot"
@@ -116,8 +116,8 @@ class TiltedScene(mesh_scene.MeshScene):
         setting = Setting(self._toucher.window, self._motion.numbers, drift)
         pools = (self._pool.arrays, self._plate.arrays, self._far_m)
 
-        def press(begin: int, end: int, heights: Float32, readings: SensorReadings) -> None:
-            touch_tilted(begin, end, setting, pools, cells, heights, readings)
+        def press(begin: int, end: int, workspace: Workspace, readings: SensorReadings) -> None:
+            touch_tilted(begin, end, setting, pools, cells, workspace, readings)
 
         return self._toucher.shared(len(cells.numbers), press, with_depth=has_depth)
 
@@ -141,7 +141,7 @@ def touch_tilted(
     setting: Setting,
     pools: tuple[Pool, Pool, float],
     cells: Cells,
-    heights: Float32,
+    workspace: Workspace,
     readings: SensorReadings,
 ) -> None:
     """Press tilted sensors along their axes, and let the objects slip, for environments ``begin`` to ``end``.
@@ -150,8 +150,7 @@ def touch_tilted(
     and how far below the target of a sensor it sees, metres. Sensors are moved along their z axes until the
     gel is pressed in. The rest is as for :func:`tactile_envs.touch_kernels.touch`.
     """
-    greatest = np.empty(readings.images.shape[2], np.float32)
-    workspace = allocate_workspace()
+    heights = workspace[0]
     pool, plate, far_m = pools
     window, axes, sensors, objects = setting.window, cells.axes, cells.sensors, cells.objects
     view, pose = np.empty((3, 4)), np.empty((3, 4))
@@ -159,16 +158,16 @@ def touch_tilted(
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
         pose[:, :] = 0.0
         pose[0, 0] = pose[1, 1] = pose[2, 2] = 1.0
-        heights[:, :] = -far_m
+        fill(heights, -far_m)
         pose[2, 3] = -plate[3][0, 12]
         _look(view, window, axes[i], sensors[i], pose)
-        raise_mesh(heights, plate, 0, view, workspace)
+        raise_mesh(plate, 0, view, workspace)
         pose[0, 0], pose[0, 1], pose[0, 3] = cosine, -sine, objects[i, 0]
         pose[1, 0], pose[1, 1], pose[1, 3] = sine, cosine, objects[i, 1]
         pose[2, 3] = 0.0
         _look(view, window, axes[i], sensors[i], pose)
-        raise_mesh(heights, pool, cells.numbers[i], view, workspace)
-        highest = highest_of(heights, greatest)
+        raise_mesh(pool, cells.numbers[i], view, workspace)
+        highest = highest_of(heights, workspace[1])
         readings.is_bare[i] = False  # the plate under a tilted sensor is drawn like an object
         # Distance along its axis at which the sensor reaches its least height.
         least_m = (window[5] - sensors[i, 2]) / axes[i, 2, 2]
@@ -179,7 +178,7 @@ def touch_tilted(
         observe_and_slip(i, cosine, sine, setting, cells, readings.positions)
 
 
-@compiled
+@part
 def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, pose: Float64) -> None:
     """Write the affine map of a mesh to columns, rows and heights, metres, shape (3, 4).
 
@@ -200,20 +199,20 @@ def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, pose: 
         view[row, 3] += window[1 + row]
 
 
-@compiled
-def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, workspace: Workspace) -> None:
+@part
+def raise_mesh(pool: Pool, number: int, view: Float64, workspace: Workspace) -> None:
     """Raise pixels to the nearest triangle of mesh ``number`` at each of them.
 
-    ``heights``, shape (H, W + PADDING), metres towards the sensor, has its first row at the bottom; samples
-    of pixels are at integers. ``view`` (3, 4) gives column, row and height of a point x, y, z, 1 of the mesh.
+    Heights are metres towards the sensor; samples of pixels are at integers. ``view`` (3, 4) gives column,
+    row and height of a point x, y, z, 1 of the mesh.
     """
     affine = (
         (view[0, 0], view[0, 1], view[0, 2], view[0, 3]),
         (view[1, 0], view[1, 1], view[1, 2], view[1, 3]),
         (view[2, 0], view[2, 1], view[2, 2], view[2, 3]),
     )
-    corners = _window_in_grid(heights, pool[3][number], view)
-    edges = workspace[3]
+    corners = _window_in_grid(workspace[0], pool[3][number], view)
+    edges = workspace[5]
     # Four around the foot, four around the top, and four upright ones.
     for edge in range(12):
         side = edge & 3
@@ -223,10 +222,10 @@ def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, workspa
             end = ((side + 1) & 3) + 4 * (edge >> 2)
         edges[0, edge], edges[1, edge] = corners[begin, 0], corners[begin, 1]
         write_edge(edges, edge, corners[end, 0], corners[end, 1])
-    raise_within(heights, pool, number, 12, affine, workspace)
+    raise_within(pool, number, 12, affine, workspace)
 
 
-@compiled
+@part
 def _window_in_grid(heights: Float32, grid: Float64, view: Float64) -> Float64:
     """Return corners (8, 2) of the part of a mesh's box that the window sees, from the corner of its grid on.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_toolkit.kernels import compiled
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int32, Int64
 
 _BLOCK = 4  # rows and columns of pixels that are drawn at once; few triangles cover more
@@ -23,9 +23,11 @@ Pool = tuple[Float32, AnyArray, Int32, Float64]
 ObjectPose = tuple[float, float, float, float, float]
 """Pose of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
 
-Workspace = tuple[Float32, Float64, Int32, Float64, Float32, Float32]
-"""Arrays for a batch of triangles: corners, metres; weights and heights of corners; first and last columns
-and rows; edges of the window; heights of blocks of pixels; weights and heights in single precision."""
+Workspace = tuple[Float32, Float32, Float32, Float64, Int32, Float64, Float32, Float32]
+"""Work arrays: heights of an image, shape (H, W + PADDING), metres, its first row at the bottom; greatest
+heights of columns (W,). For a batch of triangles: corners, metres; weights and heights of corners; first and
+last columns and rows; edges of the window; heights of blocks of pixels; weights and heights in single
+precision."""
 
 View = tuple[tuple[float, float, float, float], ...]
 """Affine map of a mesh to the image: column, row and height, metres, of its points x, y, z, 1."""
@@ -86,80 +88,131 @@ _LEVEL_M = 1e-12  # an edge of the window that rises by less is level
 _BATCH = 64  # triangles that are prepared at once
 
 
+def allocate_workspace(size_px: tuple[int, int]) -> Workspace:
+    """Allocate work arrays for images of a width and height; arrays are slow to compile."""
+    width, height = size_px
+    return (
+        np.zeros((height, width + PADDING), np.float32),
+        np.empty(width, np.float32),
+        np.empty(9 * _BATCH, np.float32),
+        np.empty(11 * _BATCH),
+        np.empty(4 * _BATCH, np.int32),
+        np.empty((5, _MAX_EDGES)),
+        np.empty((_BLOCK * _BLOCK, _BATCH), np.float32),
+        np.empty((10, _BATCH), np.float32),
+    )
+
+
 @compiled
-def raise_object(heights: Float32, pool: Pool, number: int, pose: ObjectPose) -> None:
+def raise_object(pool: Pool, number: int, pose: ObjectPose, workspace: Workspace) -> None:
     """Raise pixels to the highest triangle of mesh ``number`` over each of them.
 
-    ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; samples of
-    pixels are at integers.
+    Heights are metres above the plate; samples of pixels are at integers.
     """
-    _raise_near(heights, pool, number, pose, allocate_workspace())
+    _write_window_edges(workspace[5], workspace[0], pool[3][number], pose)
+    raise_within(pool, number, 4, _upright_view(pose), workspace)
 
 
-@compiled
-def allocate_workspace() -> Workspace:
-    """Allocate the arrays for a batch of triangles."""
-    corners, boxes = np.empty(9 * _BATCH, np.float32), np.empty(4 * _BATCH, np.int32)
-    blocks = np.empty((_BLOCK * _BLOCK, _BATCH), np.float32)
-    singles = np.empty((10, _BATCH), np.float32)
-    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, _MAX_EDGES)), blocks, singles
-
-
-@compiled
-def _raise_near(heights: Float32, pool: Pool, number: int, pose: ObjectPose, workspace: Workspace) -> bool:
-    """Raise pixels as :func:`raise_object`; return whether there are triangles near the window."""
+@part
+def _upright_view(pose: ObjectPose) -> View:
     cosine, sine, x_px, y_px, px_per_m = pose
     turn_x, turn_y = cosine * px_per_m, sine * px_per_m
-    view = (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
-    _write_window_edges(workspace[3], heights, pool[3][number], pose)
-    return raise_within(heights, pool, number, 4, view, workspace)
+    return (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
 
 
-@compiled
-def raise_within(
-    heights: Float32, pool: Pool, number: int, edges: int, view: View, workspace: Workspace
-) -> bool:
+@part
+def raise_within(pool: Pool, number: int, edges: int, view: View, workspace: Workspace) -> bool:
     """Raise pixels to the triangles of a mesh near an area of its grid; return whether there are any.
 
     ``edges`` is the number of edges of the area in the workspace, as :func:`write_edge` writes them.
     """
-    starts = pool[2]
-    grid = pool[3][number]
-    area_edges = workspace[3]
-    first_face, large, first_start = int(grid[1]), int(grid[2]), int(grid[3])
-    across, up = int(grid[4]), int(grid[5])
+    vertices, faces, starts, grids = pool
+    corners, area = workspace[2], workspace[5]
+    grid = grids[number]
+    first_vertex = np.uint64(grid[0])
+    first_start, across, up = int(grid[3]), int(grid[4]), int(grid[5])
     cell_m, reach_m = grid[8], grid[9]
-    small = first_face + large
+    # The large faces, then those of each line of cells.
+    begin = int(grid[1])
+    end = small = begin + int(grid[2])
+    line, last_line = _lines_near(area, edges, reach_m, cell_m, across, up)
+    if starts[first_start + across * up] == 0:
+        last_line = -1
+    waiting, is_any = 0, False
+    while True:
+        stop = min(end, begin + _BATCH - waiting)
+        for face in range(begin, stop):
+            # Unsigned, so that numba does not check for negative indices.
+            at = np.uint64(waiting + face - begin)
+            for corner in range(3):
+                vertex = first_vertex + np.uint64(faces[np.uint64(face), np.uint64(corner)])
+                for axis in range(3):
+                    value = vertices[vertex, np.uint64(axis)]
+                    corners[np.uint64((3 * corner + axis) * _BATCH) + at] = value
+        waiting += stop - begin
+        begin = stop
+        # Only the last batch may be incomplete.
+        is_last = begin == end and line > last_line
+        if waiting == _BATCH or (is_last and waiting > 0):
+            _raise_batch(workspace, view, waiting)
+            waiting, is_any = 0, True
+        if is_last:
+            return is_any
+        if begin == end:
+            begin_cell, end_cell = _cells_near(area, edges, reach_m, cell_m, across, line)
+            cell = first_start + line * across
+            begin, end = small + starts[cell + begin_cell], small + starts[cell + end_cell]
+            line += 1
+
+
+@part
+def _lines_near(
+    area: Float64, edges: int, reach_m: float, cell_m: float, across: int, up: int
+) -> tuple[int, int]:
+    """Return the first and last line of cells that an area may meet."""
     left = np.inf
     lowest = np.inf
     right = -np.inf
     highest = -np.inf
     for edge in range(edges):
-        x, y = area_edges[0, edge], area_edges[1, edge]
-        end_x, end_y = x + area_edges[2, edge], y + area_edges[3, edge]
+        x, y = area[0, edge], area[1, edge]
+        end_x, end_y = x + area[2, edge], y + area[3, edge]
         left, right = min(left, min(x, end_x)), max(right, max(x, end_x))
         lowest, highest = min(lowest, min(y, end_y)), max(highest, max(y, end_y))
-    is_beside = left - reach_m > across * cell_m or right + reach_m < 0.0
-    if is_beside or starts[first_start + across * up] == 0:
-        up = 0
-    runs = np.zeros((up + 2, 2), np.int64)  # the large faces, those of each line, and an empty one
-    runs[0, 0], runs[0, 1] = first_face, small
+    if left - reach_m > across * cell_m or right + reach_m < 0.0:
+        return 0, -1
     first = max(math.floor((lowest - reach_m) / cell_m), 0)
-    for line in range(first, min(math.floor((highest + reach_m) / cell_m), up - 1) + 1):
-        # A triangle lies at most `reach_m` from the middle that says which cell it is in.
-        least, most = _extent_between(
-            area_edges, edges, line * cell_m - reach_m, (line + 1) * cell_m + reach_m
-        )
-        begin_cell = max(math.floor((least - reach_m) / cell_m), 0)
-        end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
-        if begin_cell <= end_cell:
-            cell = first_start + line * across
-            runs[line + 1, 0] = small + starts[cell + begin_cell]
-            runs[line + 1, 1] = small + starts[cell + end_cell + 1]
-    return _raise_runs(heights, pool, number, runs, view, workspace)
+    return first, min(math.floor((highest + reach_m) / cell_m), up - 1)
 
 
-@compiled
+@part
+def _cells_near(
+    area: Float64, edges: int, reach_m: float, cell_m: float, across: int, line: int
+) -> tuple[int, int]:
+    """Return the first cell of a line that an area may meet, and the one after the last."""
+    # A triangle lies at most `reach_m` from the middle that says which cell it is in.
+    from_y, to_y = line * cell_m - reach_m, (line + 1) * cell_m + reach_m
+    least = np.inf
+    most = -np.inf
+    for edge in range(edges):
+        x, y, along_x = area[0, edge], area[1, edge], area[2, edge]
+        begin, end = 0.0, 1.0
+        if abs(area[3, edge]) > _LEVEL_M:
+            low = (from_y - y) * area[4, edge]
+            high = (to_y - y) * area[4, edge]
+            begin, end = max(min(low, high), 0.0), min(max(low, high), 1.0)
+        elif y < from_y or y > to_y:
+            continue
+        if begin <= end:
+            least = min(least, x + min(begin * along_x, end * along_x))
+            most = max(most, x + max(begin * along_x, end * along_x))
+    if most < least:
+        return 0, 0
+    begin_cell = min(max(math.floor((least - reach_m) / cell_m), 0), across)
+    return begin_cell, max(min(math.floor((most + reach_m) / cell_m), across - 1) + 1, begin_cell)
+
+
+@part
 def _write_window_edges(edges: Float64, heights: Float32, grid: Float64, pose: ObjectPose) -> None:
     """Write the edges of the window in the object's frame, from the corner of its grid on."""
     cosine, sine, x_px, y_px, px_per_m = pose
@@ -176,7 +229,7 @@ def _write_window_edges(edges: Float64, heights: Float32, grid: Float64, pose: O
         write_edge(edges, corner, edges[0, (corner + 1) & 3], edges[1, (corner + 1) & 3])
 
 
-@compiled
+@part
 def write_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
     """Write the direction of an edge, given its start in ``edges`` and its end.
 
@@ -188,69 +241,12 @@ def write_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
     edges[4, edge] = 1.0 / edges[3, edge]
 
 
-@compiled
-def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> tuple[float, float]:
-    """Return the least and greatest x of an area in the range between two y."""
-    least = np.inf
-    most = -np.inf
-    for edge in range(count):
-        x, y, along_x = edges[0, edge], edges[1, edge], edges[2, edge]
-        begin, end = 0.0, 1.0
-        if abs(edges[3, edge]) > _LEVEL_M:
-            low = (from_y - y) * edges[4, edge]
-            high = (to_y - y) * edges[4, edge]
-            begin, end = max(min(low, high), 0.0), min(max(low, high), 1.0)
-        elif y < from_y or y > to_y:
-            continue
-        if begin <= end:
-            least = min(least, x + min(begin * along_x, end * along_x))
-            most = max(most, x + max(begin * along_x, end * along_x))
-    return least, most
-
-
-@compiled
-def _raise_runs(
-    heights: Float32, pool: Pool, number: int, runs: Int64, view: View, workspace: Workspace
-) -> bool:
-    """Raise pixels to the triangles of runs that face the sensor; return whether there are any triangles.
-
-    ``runs`` (n, 2) are the first triangle of each run and the one after its last; the last run is empty.
-    """
-    vertices, faces, _, grids = pool
-    first_vertex = np.uint64(grids[number, 0])
-    corners = workspace[0]
-    waiting, is_any = 0, False
-    for run in range(len(runs)):
-        first, last = runs[run, 0], runs[run, 1]
-        # Only the last batch may be incomplete.
-        least = _BATCH if run < len(runs) - 1 else 1
-        while True:
-            end = min(last, first + _BATCH - waiting)
-            for face in range(first, end):
-                # Unsigned, so that numba does not check for negative indices.
-                begin = np.uint64(face)
-                at = np.uint64(waiting + face - first)
-                for corner in range(3):
-                    vertex = first_vertex + np.uint64(faces[begin, np.uint64(corner)])
-                    for axis in range(3):
-                        value = vertices[vertex, np.uint64(axis)]
-                        corners[np.uint64((3 * corner + axis) * _BATCH) + at] = value
-            waiting = waiting + end - first
-            first = end
-            if waiting < least:
-                break
-            _raise_batch(heights, workspace, view, waiting)
-            waiting, is_any = 0, True
-    return is_any
-
-
-@compiled
-def _prepare(heights: Float32, workspace: Workspace, view: View) -> None:
+@part
+def _prepare(heights: Float32, corners: Float32, weights: Float64, boxes: Int32, view: View) -> None:
     """Write which pixels each triangle of a batch may cover, and the weights of its corners there.
 
     LLVM vectorises the loop, because it has a fixed length and each result its own element of an array.
     """
-    corners, weights, boxes = workspace[0], workspace[1], workspace[2]
     columns = heights.shape[1] - PADDING - 1.0
     rows = heights.shape[0] - 1.0
     for i in range(_BATCH):
@@ -292,7 +288,7 @@ def _prepare(heights: Float32, workspace: Workspace, view: View) -> None:
         weights[10 * _BATCH + i] = cz - az
 
 
-@compiled
+@part
 def _project(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[float, float, float]:
     """Return column, row and height of a point."""
     across, up, high = view
@@ -301,14 +297,14 @@ def _project(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[f
     return column, row, np.float64(high[0] * x + high[1] * y + high[2] * z + high[3])
 
 
-@compiled
-def _raise_batch(heights: Float32, workspace: Workspace, view: View, count: int) -> None:
+@part
+def _raise_batch(workspace: Workspace, view: View, count: int) -> None:
     """Raise pixels to the first triangles of a batch."""
-    _, weights, boxes, _, blocks, singles = workspace
+    heights, _, corners, weights, boxes, _, blocks, singles = workspace
     pixels = heights.reshape(heights.size)
     pitch = heights.shape[1]
-    spare = heights.size - PADDING
-    _prepare(heights, workspace, view)
+    spare = len(pixels) - PADDING
+    _prepare(heights, corners, weights, boxes, view)
     for i in range(count):
         if boxes[_BATCH + i] - boxes[i] >= _BLOCK or boxes[3 * _BATCH + i] - boxes[2 * _BATCH + i] >= _BLOCK:
             _raise_large(heights, weights, boxes, i)
@@ -328,7 +324,7 @@ def _raise_batch(heights: Float32, workspace: Workspace, view: View, count: int)
                 pixels[at] = height if height > held else held
 
 
-@compiled
+@part
 def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
     """Write the heights of all triangles of a batch at the pixels of their blocks; -inf: not covered.
 
@@ -362,7 +358,7 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
                 drawn[i] = height if singles[9, i] - (b + c) >= zero else nothing
 
 
-@compiled
+@part
 def _raise_large(heights: Float32, weights: Float64, boxes: Int32, i: int) -> None:
     """Raise pixels to a triangle that is larger than a block."""
     b_row = weights[i]
@@ -391,37 +387,46 @@ def touch(
     setting: Setting,
     pool: Pool,
     cells: Cells,
-    heights: Float32,
+    workspace: Workspace,
     readings: SensorReadings,
 ) -> None:
     """Press the sensors of environments ``begin`` to before ``end``, then let the objects slip.
 
-    Sensors are upright. ``heights`` (H, W + PADDING) is a work array; ``readings`` are written, depths only
-    if they are not empty.
+    Sensors are upright. ``readings`` are written, depths only if they are not empty.
     """
-    greatest = np.empty(readings.images.shape[2], np.float32)
-    workspace = allocate_workspace()
-    heights[:, :] = 0.0
     window, sensors, objects = setting.window, cells.sensors, cells.objects
+    heights = workspace[0]
     press_m, least_m = window[3], window[5]
+    is_near = True
     for i in range(begin, end):
-        cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
+        if is_near:
+            fill(heights, 0.0)
+        number, turn_rad = cells.numbers[i], objects[i, 2]
+        cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
         x_px = (objects[i, 0] - sensors[i, 0]) * window[0] + window[1]
         y_px = (objects[i, 1] - sensors[i, 1]) * window[0] + window[2]
         pose = cosine, sine, x_px, y_px, window[0]
-        is_near = _raise_near(heights, pool, cells.numbers[i], pose, workspace)
+        _write_window_edges(workspace[5], heights, pool[3][number], pose)
+        is_near = raise_within(pool, number, 4, _upright_view(pose), workspace)
         highest = np.float32(0.0)
         if is_near:
-            highest = highest_of(heights, greatest)
+            highest = highest_of(heights, workspace[1])
         readings.is_bare[i] = highest == 0.0
         draw_touch(i, readings, heights, highest, window, least_m)
-        if is_near:
-            heights[:, :] = 0.0
         sensors[i, 2] = max(highest + press_m + cells.lifts[i], least_m)
         observe_and_slip(i, cosine, sine, setting, cells, readings.positions)
 
 
-@compiled
+@part
+def fill(heights: Float32, height_m: float) -> None:
+    """Set all heights."""
+    rows, columns = heights.shape
+    for row in range(rows):
+        for column in range(columns):
+            heights[row, column] = height_m
+
+
+@part
 def draw_touch(
     i: int, readings: SensorReadings, heights: Float32, highest: np.float32, window: Float64, least_m: float
 ) -> None:
@@ -434,7 +439,7 @@ def draw_touch(
         _measure(readings.depths_m[i], heights, pressed, press_m)
 
 
-@compiled
+@part
 def observe_and_slip(
     i: int, cosine: float, sine: float, setting: Setting, cells: Cells, positions: Float32
 ) -> None:
@@ -450,7 +455,7 @@ def observe_and_slip(
     objects[i, 2] += drift[2]
 
 
-@compiled
+@part
 def highest_of(heights: Float32, greatest: Float32) -> np.float32:
     """Return the greatest height in the first columns; ``greatest`` is a work array with their number."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
@@ -466,14 +471,16 @@ def highest_of(heights: Float32, greatest: Float32) -> np.float32:
     return highest
 
 
-@compiled
+@part
 def _show(image: Float32, heights: Float32, highest: np.float32, span_m: float) -> None:
     """Draw the depth image: 0 at the greatest height, 1 from ``span_m`` below it on."""
     rows, columns = image.shape
     scale = np.float32(1.0 / span_m)
     top = np.float32(1.0)
     if highest == 0.0:
-        image[:, :] = 0.0
+        for row in range(rows):
+            for column in range(columns):
+                image[row, column] = 0.0
         return
     for row in range(rows):
         line = heights[rows - 1 - row]
@@ -483,7 +490,7 @@ def _show(image: Float32, heights: Float32, highest: np.float32, span_m: float) 
             shown[column] = depth if depth < top else top
 
 
-@compiled
+@part
 def _measure(far: Float32, heights: Float32, highest: np.float32, press_m: float) -> None:
     """Write distances from the gel's camera, metres."""
     rows, columns = far.shape

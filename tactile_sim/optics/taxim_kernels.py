@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.kernels import compiled
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import Bool, Float32, Float64, Floating, Int32, Int64
 
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
@@ -101,7 +101,7 @@ def blur(
                 target[k] = target[k] if stays[k] else total[k]
 
 
-@compiled
+@part
 def _weigh(out: Floating, source: Floating, begin: int, step: int, weights: Floating) -> None:
     """Weigh the values from ``begin`` on, and those at multiples of ``step`` on both sides of each."""
     here = source[begin:]
@@ -128,7 +128,7 @@ def _weigh(out: Floating, source: Floating, begin: int, step: int, weights: Floa
             out[k] += last * (a[k] + b[k])
 
 
-@compiled
+@part
 def _angle(y: float, x: float) -> float:
     """Return the angle of a direction, -pi to pi, to 3e-9, from products, sums and quotients."""
     far, near = max(abs(x), abs(y)), min(abs(x), abs(y))
@@ -149,7 +149,7 @@ def _angle(y: float, x: float) -> float:
     return -angle if y < 0.0 else angle
 
 
-@compiled
+@part
 def _rim(mask: Bool, windows: Int64) -> Bool:
     """Return where windows around pixels of the mask, one after the other, reach outside of it.
 
@@ -181,7 +181,7 @@ def _rim(mask: Bool, windows: Int64) -> Bool:
     return out
 
 
-@compiled
+@part
 def _pressed_gel(
     depth_m: Float64, gel_m: float, gel_mm: Float64, contact_scale: float
 ) -> tuple[Float64, Bool]:
@@ -212,7 +212,7 @@ def _pressed_gel(
     return soft, contact
 
 
-@compiled
+@part
 def _add_bulges(soft: Float64, depth_m: Float64, gel_m: float) -> None:
     """Raise the surface of the gel, mm, where it is higher than at rest."""
     for row in range(len(soft)):
@@ -220,7 +220,7 @@ def _add_bulges(soft: Float64, depth_m: Float64, gel_m: float) -> None:
             soft[row, column] += max(depth_m[row, column] - gel_m, 0.0) * 1000.0
 
 
-@compiled
+@part
 def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float) -> tuple[Float64, Float64]:
     """Return slope and direction at the inner pixels; pixels at the edge copy their neighbours."""
     rows, columns = soft.shape
@@ -245,7 +245,7 @@ def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float)
     return slope, direction
 
 
-@compiled
+@part
 def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
     """Return the colours (H, W, 3) of the calibration for slopes in their place.
 
@@ -273,7 +273,7 @@ def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
     return shade
 
 
-@compiled
+@part
 def _cast_shadows(
     shade: Float64,
     soft: Float64,
@@ -310,7 +310,7 @@ def _cast_shadows(
                             colours[3 * at + colour] = darker if darker < held else held
 
 
-@compiled
+@part
 def _follow(
     met: Int32, row: int, column: int, steps_px: Float32, ray: Float32, shape: tuple[int, int]
 ) -> None:
@@ -367,7 +367,7 @@ def render_taxim(
         _lay_over(plane, picture.background, out[number])
 
 
-@compiled
+@part
 def _lay_over(lit: Float64, background: Float64, out: Float32) -> None:
     rows, width = lit.shape
     for row in range(rows):

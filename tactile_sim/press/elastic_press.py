@@ -108,7 +108,7 @@ class WholeGel:
         else:
             contact = _plate_contact(load, self)
         corner = (rows.start, columns.start)
-        inward_m = contact.displacement_m[..., 2]
+        inward_m = np.ascontiguousarray(contact.displacement_m[..., 2:])
         motion_m = _visible_motion(contact, load, sensor)
         show_surface(out, corner, inward_m, motion_m, sensor.pixel_m, sensor.gel_m)
         return replace(self.shown(contact), torque_n_m=_about_axis(contact, sensor))

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.kernels import compiled
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import Float32, Float64, Int32
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
@@ -50,7 +50,9 @@ def rasterise(
         if middle[1] + far_y < 0.0 or middle[1] - far_y > rows - 1:
             continue
         for face in range(block * per_block, min((block + 1) * per_block, len(faces))):
-            first, second, third = faces[face, 0], faces[face, 1], faces[face, 2]
+            # As 64 bits, like the numbers of blocks: numba compiles a function for each type.
+            first, second = np.int64(faces[face, 0]), np.int64(faces[face, 1])
+            third = np.int64(faces[face, 2])
             a, b = _mapped(affine, vertices, first), _mapped(affine, vertices, second)
             c = _mapped(affine, vertices, third)
             # Faces that look down or are vertical; written so that NaN is left out as well.
@@ -67,13 +69,13 @@ def rasterise(
                 _raise_rows(out, first_row, last_row, (a, b, c), run, layers, highest)
 
 
-@compiled
+@part
 def _length(row: Float64) -> float:
     return math.sqrt(row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
 
 
-@compiled
-def _mapped(affine: Float64, points: Float64, index: int) -> Point:
+@part
+def _mapped(affine: Float64, points: Float64, index: int | np.int64) -> Point:
     x, y, z = points[index, 0], points[index, 1], points[index, 2]
     return (
         ((affine[0, 0] * x + affine[0, 1] * y) + affine[0, 2] * z) + affine[0, 3],
@@ -82,7 +84,7 @@ def _mapped(affine: Float64, points: Float64, index: int) -> Point:
     )
 
 
-@compiled
+@part
 def _raise_rows(
     out: Float64,
     first_row: int,
@@ -126,7 +128,7 @@ def _raise_rows(
                 line[first + step] = height
 
 
-@compiled
+@part
 def _run(a: Float64, b: Float64, c: Float64, layers: Float64) -> float:
     """Return the slope of a triangle: horizontal distance per unit of height."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -135,7 +137,7 @@ def _run(a: Float64, b: Float64, c: Float64, layers: Float64) -> float:
     return float(z / max(math.sqrt(x * x + y * y), layers[4] * abs(z)))
 
 
-@compiled
+@part
 def _layer_rise(height: float, run: float, layers: Float64) -> float:
     """Return the distance from a point of the solid up to the end of its layer; -inf if there is no layer.
 
@@ -158,7 +160,7 @@ def _layer_rise(height: float, run: float, layers: Float64) -> float:
     return float(min(math.sqrt(root) - down, 2.0 * layer)) if root >= 0.0 else -np.inf
 
 
-@compiled
+@part
 def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[float, float, float, float]:
     along_x, along_y = end_x - start_x, end_y - start_y
     if along_y < -_EDGE_PX:
@@ -209,10 +211,10 @@ def show_surface(
     """Write how far the surface of an elastic gel is from the sensor, as it looks through the gel; metres.
 
     ``out`` (h, w) is the window whose first pixel is at row and column ``corner`` of the whole gel, of which
-    ``inward_m`` (H, W) is how far the surface is pressed in, and ``moved_m`` (H, W, 2) how far along x and y
-    what is seen has moved, both by points at rest.
+    ``inward_m`` (H, W, 1) is how far the surface is pressed in, and ``moved_m`` (H, W, 2) how far along x and
+    y what is seen has moved, both by points at rest.
     """
-    rows, columns = inward_m.shape
+    rows, columns, _ = inward_m.shape
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
             here_x, here_y = float(column + corner[1]), float(row + corner[0])
@@ -220,15 +222,15 @@ def show_surface(
             for _ in range(_WARP_STEPS):
                 left, top, across, down = _cell(x, y, rows, columns)
                 before_x, before_y = x, y
-                x = here_x - _mixed(moved_m[..., 0], left, top, across, down) / pixel_m[0]
-                y = here_y + _mixed(moved_m[..., 1], left, top, across, down) / pixel_m[1]
+                x = here_x - _mixed(moved_m, 0, left, top, across, down) / pixel_m[0]
+                y = here_y + _mixed(moved_m, 1, left, top, across, down) / pixel_m[1]
                 if abs(x - before_x) + abs(y - before_y) < _SAME_PX:
                     break
             left, top, across, down = _cell(x, y, rows, columns)
-            out[row, column] = gel_m - _mixed(inward_m, left, top, across, down)
+            out[row, column] = gel_m - _mixed(inward_m, 0, left, top, across, down)
 
 
-@compiled
+@part
 def _cell(x: float, y: float, rows: int, columns: int) -> tuple[int, int, float, float]:
     """Return the pixel to the upper left of a column and a row, and how far they are beyond it."""
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
@@ -236,10 +238,10 @@ def _cell(x: float, y: float, rows: int, columns: int) -> tuple[int, int, float,
     return left, top, x - left, y - top
 
 
-@compiled
-def _mixed(values: Float64, left: int, top: int, across: float, down: float) -> float:
-    """Interpolate a map linearly between four pixels; a map may have a single row or column."""
+@part
+def _mixed(values: Float64, k: int, left: int, top: int, across: float, down: float) -> float:
+    """Interpolate map ``k`` linearly between four pixels; a map may have a single row or column."""
     right, bottom = min(left + 1, values.shape[1] - 1), min(top + 1, values.shape[0] - 1)
-    upper = values[top, left] * (1.0 - across) + values[top, right] * across
-    lower = values[bottom, left] * (1.0 - across) + values[bottom, right] * across
+    upper = values[top, left, k] * (1.0 - across) + values[top, right, k] * across
+    lower = values[bottom, left, k] * (1.0 - across) + values[bottom, right, k] * across
     return float(upper * (1.0 - down) + lower * down)

@@ -97,13 +97,13 @@ def sample_relief(
             out[row, column] = height - level if height > level else 0.0
 
 
-@compiled
+@part
 def column_x(column: int, columns: int, view: SurfaceView) -> np.float32:
     """Return how far a pixel lies to the right, -1 to 1 times the share of the image; single precision."""
     return np.float32(view.span_x * ((2.0 * column + 1.0) / columns - 1.0))
 
 
-@compiled
+@part
 def row_y(row: int, rows: int, view: SurfaceView) -> np.float32:
     """Return how far a pixel lies above the middle, -1 to 1 times the share of the image."""
     return np.float32(view.span_y * (1.0 - (2.0 * row + 1.0) / rows))
@@ -127,7 +127,7 @@ def _turn(x: np.float32, y: np.float32) -> np.float32:
     return angle if angle < most else most
 
 
-@compiled
+@part
 def _row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
     """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
 
@@ -215,7 +215,7 @@ def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) 
                     shares[at, k + 1] = share * (position - node)
 
 
-@compiled
+@part
 def _terms(terms: Float64, at: int, rows: int, columns: int) -> None:
     x = (2.0 * (at % columns) + 1.0) / columns - 1.0
     y = 1.0 - (2.0 * (at // columns) + 1.0) / rows

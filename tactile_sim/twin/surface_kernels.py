@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tactile_sim.optics import taxim_kernels
-from tactile_toolkit.kernels import compiled
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import Float32, Float64, Floating
 
 _SUBSTITUTIONS = 3  # by which positions that a pinhole sees are right to a hundredth of a pixel
@@ -101,7 +101,7 @@ def press_gel(
     return soft
 
 
-@compiled
+@part
 def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: float) -> None:
     """Give the gel the shape of the solid where it is in contact, except for an edge of ``inset`` pixels.
 
@@ -120,7 +120,7 @@ def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: floa
             line[column] += share * (target[column] - line[column])
 
 
-@compiled
+@part
 def _turn_over(held: Float32, indentation: Floating, margin: int) -> float:
     """Write the height that the gel has in contact; return the greatest indentation inside the margin."""
     rows, columns = indentation.shape
@@ -161,7 +161,7 @@ def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
     double(out, small)
 
 
-@compiled
+@part
 def halved(wide: Float32) -> Float32:
     """Return a map of half the size, averaged with the weights 1, 3, 3, 1; the edge is repeated."""
     rows, columns = wide.shape
@@ -186,7 +186,7 @@ def halved(wide: Float32) -> Float32:
     return out
 
 
-@compiled
+@part
 def double(out: Float32, small: Float32) -> None:
     """Write a map of twice the size, bilinearly; if a side is odd, the last pixel is left out."""
     rows, columns = out.shape

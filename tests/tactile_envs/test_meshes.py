@@ -11,7 +11,7 @@ import pytest
 import env_assets
 import mnist3d
 from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.touch_kernels import PADDING, raise_object
+from tactile_envs.touch_kernels import allocate_workspace, raise_object
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import pose, render_touch
 from tactile_sim.press.sensors import center_view
@@ -23,11 +23,11 @@ def test_pixels_on_the_edge_of_a_triangle_are_raised_whichever_way_its_corners_r
     per_m = 1024.0  # a power of two: corners are exactly where they should be
     block = box((2 / per_m, 1 / per_m, 0), (5 / per_m, 4 / per_m, 1 / per_m))
     pool = MeshPool.packed([SimpleNamespace(vertices_m=block.vertices_m, faces=block.faces, label=0, id=0)])
-    heights = np.zeros((8, 8 + PADDING), np.float32)
-    raise_object(heights, pool.arrays, 0, (1.0, 0.0, off_px, off_px, per_m))
+    workspace = allocate_workspace((8, 8))
+    raise_object(pool.arrays, 0, (1.0, 0.0, off_px, off_px, per_m), workspace)
     expected = np.zeros((8, 8))
     expected[1:5, 2:6] = 1 / per_m
-    assert heights[:, :8].tolist() == expected.tolist()
+    assert workspace[0][:, :8].tolist() == expected.tolist()
 
 
 @pytest.mark.one_at_a_desk
@@ -38,7 +38,8 @@ def test_height_maps_agree_with_pressing(name, assets):
     pool = MeshPool.of(meshes)
     sensor, random = center_view(64, 64), np.random.default_rng(0)
     per_m = 64 / sensor.window_m[0]
-    heights = np.zeros((64, 64 + PADDING), np.float32)
+    workspace = allocate_workspace((64, 64))
+    heights = workspace[0]
     off = pixels = 0
     for trial in range(60):
         number = trial % len(meshes)
@@ -53,7 +54,7 @@ def test_height_maps_agree_with_pressing(name, assets):
         middle = 31.5 - np.array(sensor.sample_px)
         x_px, y_px = (lies[:2, 3] - gel[:2, 3]) * per_m + middle
         placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
-        raise_object(heights, pool.arrays, number, placed)
+        raise_object(pool.arrays, number, placed, workspace)
         found = heights[::-1, :64]
         depth_m = np.minimum(sensor.press_m + found.max() - found, sensor.gel_m)
         truth = render_touch(Pressable.of(meshes[number], check=False), lies, gel, sensor).depth_m

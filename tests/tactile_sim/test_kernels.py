@@ -66,14 +66,14 @@ def test_the_rim_is_where_two_windows_reach(windows):
 
 def test_slopes_of_a_plane_and_of_a_level_surface():
     row, column = np.mgrid[:6.0, :9.0]
-    slope, direction = taxim_kernels._slopes.py_func(0.3 * column - 0.2 * row, 0.5, 0.5, 1e-6)
+    slope, direction = taxim_kernels._slopes(0.3 * column - 0.2 * row, 0.5, 0.5, 1e-6)
     # Two pixels apart, and halved: the slope of the plane, up to where it rises.
     assert slope == pytest.approx(np.full((6, 9), np.arctan(np.hypot(0.3, 0.2))))
     assert direction == pytest.approx(np.full((6, 9), np.arctan2(0.2, -0.3) + np.pi))
-    slope, direction = taxim_kernels._slopes.py_func(np.full((4, 5), 0.7), 0.5, 0.5, 1e-6)
+    slope, direction = taxim_kernels._slopes(np.full((4, 5), 0.7), 0.5, 0.5, 1e-6)
     assert (slope == 0).all()
     assert (direction == np.pi).all()
     # Pixels at the edge copy their neighbours, for any surface.
     bumps = np.random.default_rng(0).random((5, 6))
-    for table in taxim_kernels._slopes.py_func(bumps, 0.5, 0.5, 1e-6):
+    for table in taxim_kernels._slopes(bumps, 0.5, 0.5, 1e-6):
         assert (table == np.pad(table[1:-1, 1:-1], 1, mode="edge")).all()
