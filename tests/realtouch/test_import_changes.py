@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +13,18 @@ import realtouch
 from realtouch.importing import import_plan, import_sources, streams
 from tactile_toolkit.columns import tables
 from tactile_toolkit.errors import IntegrityError
-from tests.realtouch.images_of_others import picture
+from tests.realtouch.images_of_others import picture, write_table
 
 pytest.importorskip("av", reason="needs PyAV, of the extra test")
 from tests.realtouch.videos_of_others import write_video
 
 
-def table(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows(rows)
-    return path
-
-
-def images(folder: Path, rows: Sequence[Sequence[object]], names: Sequence[str]) -> Path:
-    """Write an image for each row of a table."""
+def images(folder: Path, lines: Sequence[dict[str, Any]]) -> Path:
+    """Write an image for each line of a table."""
     folder.mkdir()
-    for number in range(len(rows)):
+    for number in range(len(lines)):
         (folder / f"{number}.png").write_bytes(picture(number))
-    table(folder / "touches.csv", ["file", *names], [[f"{n}.png", *row] for n, row in enumerate(rows)])
+    write_table(folder, [{"file": f"{number}.png", **line} for number, line in enumerate(lines)])
     return folder
 
 
@@ -69,16 +60,16 @@ def test_a_stream_of_several_parts_that_changes_between_its_times_and_its_values
     source = tmp_path / "source"
     source.mkdir()
     video(source / "a.avi")
-    stream = table(source / "a.force.csv", ["time_s", "f"], [(n / 100, n) for n in range(100)])
-    later = [(n / 100, -n) for n in range(120)]
-    change_after(monkeypatch, streams, "open_stream", lambda: table(stream, ["time_s", "f"], later))
+    write_table(source, [{"time_s": n / 100, "f": n} for n in range(100)], "a.force.csv")
+    later = [{"time_s": n / 100, "f": -n} for n in range(120)]
+    change_after(monkeypatch, streams, "open_stream", lambda: write_table(source, later, "a.force.csv"))
     with pytest.raises(IntegrityError, match=r"a\.force\.csv' was replaced or changed while it was read"):
         realtouch.import_touches(source, tmp_path / "out")
 
 
 def test_rounds_that_are_divided_take_no_names_of_others(tmp_path, monkeypatch):
     rounds = ["a", "a", "a", "a-0", "a-1", "b"]
-    source = images(tmp_path / "source", [(each,) for each in rounds], ["round_id"])
+    source = images(tmp_path / "source", [{"round_id": each} for each in rounds])
     monkeypatch.setattr(import_plan, "_SHARD_BYTES", 1)
     realtouch.import_touches(source, tmp_path / "out")
     found = [touch.round.id for touch in realtouch.load(tmp_path / "out", "train").touches()]
@@ -105,7 +96,7 @@ def test_the_size_of_videos_is_that_of_most_pictures(cut: str, tmp_path: Path) -
 
 def test_a_preview_states_the_use_of_each_column(tmp_path: Path) -> None:
     said = {"label": "mug", "id": 1, "touch": 2, "N" * 300: 3, "empty": "", "force_n": 4, "old": 5, "t_ms": 6}
-    source = images(tmp_path / "source", [list(said.values())] * 2, list(said))
+    source = images(tmp_path / "source", [said] * 2)
     columns = realtouch.ImportColumns(extra=(("new", "old"),), time="t_ms")
     uses = {
         name: use
@@ -124,7 +115,8 @@ def test_a_table_that_names_a_video_outside_leaves_that_line_out(tmp_path: Path)
     source.mkdir()
     for place in (source / "a.avi", tmp_path / "b.avi"):
         video(place, 5)
-    table(source / "about.csv", ["file", "label"], [("a.avi", "mug"), ("../b.avi", "fork")])
+    lines = [{"file": "a.avi", "label": "mug"}, {"file": "../b.avi", "label": "fork"}]
+    write_table(source, lines, "about.csv")
     realtouch.import_touches(source, tmp_path / "out")
     touches = realtouch.load(tmp_path / "out", "train").touches()
     assert [touch.round.id for touch in touches] == ["a"]
@@ -139,8 +131,7 @@ def test_extra_columns_called_like_those_of_a_format_come_back(layout: str, tmp_
     said = {
         name: f"{name} of the user" for name in ("observation.state", "action", "in_contact", "index", "a/b")
     }
-    rows = [["mug", *POSE.values(), *said.values()]] * 2
-    source = images(tmp_path / "source", rows, ["label", *POSE, *said])
+    source = images(tmp_path / "source", [{"label": "mug", **POSE, **said}] * 2)
     realtouch.import_touches(
         source, tmp_path / "set", realtouch.ImportSpec(columns=realtouch.ImportColumns(pose=tuple(POSE)))
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -178,10 +177,12 @@ def test_a_stream_is_aligned_with_pictures_that_have_times(tmp_path: Path) -> No
     times = [start + step * 40_000_000 for step in (2, 0, 1)]  # not in order
     rows = [{"file": f"{number}.jpg", "stamp_ns": time} for number, time in enumerate([*times, ""])]
     write_table(home, rows)
+    samples = [
+        {"stamp_ns": start + step * 10_000_000, "x_mm": step / 10, "force_n": 1.5 * step}
+        for step in range(12)
+    ]
+    write_table(tmp_path, samples, "robot.csv")
     stream = tmp_path / "robot.csv"
-    with stream.open("w", newline="") as file:
-        samples = ([start + step * 10_000_000, step / 10, 1.5 * step] for step in range(12))
-        csv.writer(file).writerows([["stamp_ns", "x_mm", "force_n"], *samples])
     columns = realtouch.ImportColumns(time="stamp_ns")
     options: dict[str, Any] = {"streams": (str(stream),), "columns": columns}
     manifest = imported(home, tmp_path / "out", **options)

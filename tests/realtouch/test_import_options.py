@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -117,10 +116,8 @@ def test_an_option_changes_the_import_or_is_refused(
     layout: str, group: str, source_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
     source = source_of(layout)
-    with (tmp_path / "table.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([["file", "note"], ["nothing.avi", "x"]])
-    with (tmp_path / "force.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([["time_s", "force_n"], *([t / 100, t] for t in range(100))])
+    write_table(tmp_path, [{"file": "nothing.avi", "note": "x"}], "table.csv")
+    write_table(tmp_path, [{"time_s": t / 100, "force_n": t} for t in range(100)], "force.csv")
     columns = realtouch.ImportColumns()
     if layout == "hdf5":
         columns = replace(columns, image="tactile")
