@@ -34,11 +34,14 @@ _TOLERANCE = 2.0**-21
 # Greatest number of faces that do not look up; each takes a pass over all faces.
 _MAX_ODD = 64
 
-# Doubtful places that are tested; each takes 26 winding numbers over all faces.
+# Doubtful places that are tested; each takes a winding number over all faces, and 26 over those near it.
 _DOUBTS_TRIED = 32
 
 # Doubtful places from which they are chosen, at most about so many.
 _MAX_DOUBTS = 1_000_000
+
+# Faces farther away than this many of the distances below have nearly one solid angle from all those points.
+_NEAR = 2000.0
 
 # Distance, in tolerances, from a doubtful place to the points at which winding numbers are computed. None of
 # the directions lies in a plane in which faces of hand-made objects usually lie.
@@ -161,21 +164,30 @@ def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Floa
             count += len(crossings_mm)
     points_mm = np.concatenate(doubtful)
     chosen = np.linspace(0, len(points_mm) - 1, min(len(points_mm), _DOUBTS_TRIED)).astype(np.int64)
+    triangles_mm = vertices_mm[faces]
     for point_mm in points_mm[chosen]:
-        winding = _winding_numbers(vertices_mm, faces, point_mm + _ASIDE * tolerance * _DIRECTIONS)
+        winding = _windings_around(triangles_mm, point_mm, _ASIDE * tolerance)
         # Off the surface these are integers, 1 inside and 0 outside; the quarter allows for rounding.
         if ((winding > 1.25) | (winding < -0.25)).any():
             return np.asarray(point_mm)
     return None
 
 
-def _winding_numbers(vertices_mm: Float64, faces: Int64, points_mm: Float64) -> Float64:
+def _windings_around(triangles_mm: Float64, point_mm: Float64, aside_mm: float) -> Float64:
+    """Return the winding numbers of a surface at points in all directions from one, at a small distance."""
+    reach_mm = _NEAR * aside_mm
+    low, high = triangles_mm.min(axis=1), triangles_mm.max(axis=1)
+    is_near = ((low < point_mm + reach_mm) & (high > point_mm - reach_mm)).all(axis=1)
+    near = _winding_numbers(triangles_mm[is_near], point_mm + aside_mm * _DIRECTIONS)
+    return near + _winding_numbers(triangles_mm[~is_near], point_mm[None])
+
+
+def _winding_numbers(triangles_mm: Float64, points_mm: Float64) -> Float64:
     """Return winding numbers of a surface, from solid angles (Van Oosterom and Strackee 1983)."""
     windings = np.empty(len(points_mm))
     for index, point in enumerate(points_mm):
-        offsets = vertices_mm - point
-        far = np.sqrt((offsets * offsets).sum(axis=1))
-        (a, b, c), (la, lb, lc) = offsets[faces.T], far[faces.T]
+        a, b, c = np.moveaxis(triangles_mm - point, 1, 0)
+        la, lb, lc = (np.sqrt((corner * corner).sum(axis=1)) for corner in (a, b, c))
         volume = (a * np.cross(b, c)).sum(axis=1)
         base = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
         windings[index] = np.arctan2(volume, base).sum() / (2 * np.pi)
