@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from mnist3d import digit_options
 from mnist3d.digit_previews import CLAY
@@ -251,5 +252,6 @@ def _fitted(mask: Bool) -> UInt8:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     cut = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     step = max(1, -(-max(cut.shape[0] * _VIEW_PX[0] // _VIEW_PX[1], cut.shape[1]) // _VIEW_PX[0]))
-    levels = np.where(cut[::step, ::step], 0, 255).astype(np.uint8)
-    return np.repeat(levels[..., None], 3, axis=2)
+    # Thin lines become grey instead of being skipped.
+    levels = Image.fromarray(np.where(cut, 0, 255).astype(np.uint8)).reduce(step)
+    return np.asarray(levels.convert("RGB"))

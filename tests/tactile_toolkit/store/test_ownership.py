@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.run import Part
 from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tactile_toolkit.store import open_folder, verify
 from tactile_toolkit.store.folder import LocalFolder
@@ -41,8 +42,10 @@ def fresh(tmp_path_factory):
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
-@pytest.mark.parametrize("shards", [1, 0, 6])
-def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runner, shards):
+@pytest.mark.parametrize(
+    ("shards", "part"), [(1, None), (0, None), (6, None), (0, Part(0, 2)), (1, Part(0, 2))], ids=str
+)
+def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runner, shards, part):
     """It pauses after some shards while another run starts again there and finishes."""
     made = []
 
@@ -53,7 +56,7 @@ def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runn
 
     finished = []
     with pytest.raises(InputError, match="was removed or replaced while this run was at work"):
-        make(tmp_path / "set", seeded(10), workers=runner, on_progress=hold)
+        make(tmp_path / "set", seeded(10), workers=runner, part=part, on_progress=hold)
     assert finished
     assert folder_bytes(tmp_path / "set") == fresh[20]
     assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok

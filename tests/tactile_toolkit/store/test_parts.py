@@ -178,24 +178,6 @@ def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok
 
 
-@pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
-def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, moment):
-    """The names of shards are the same, but their rows differ."""
-    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
-    other = replace(other, tasks=tuple(replace(task, ids=(task.ids[0],)) for task in other.tasks))
-    make(tmp_path / "other", plan=other)
-    started = []
-
-    def others(progress):
-        if (progress.record is not None) == (moment == "between two shards") and not started:
-            started.append(make(tmp_path / "set", plan=other, overwrite=True))
-
-    with pytest.raises(InputError, match="was removed or replaced while this run was at work"):
-        make(tmp_path / "set", part=Part(0, 2), on_progress=others)
-    assert started
-    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
-
-
 def test_parts_in_a_store_of_objects(whole):
     folder = open_folder("memory://bucket/parts")
     for index in (0, 2):
