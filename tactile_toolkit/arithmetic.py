@@ -24,7 +24,6 @@ _COSINE = tuple((-1) ** term / math.factorial(2 * term) for term in range(8, 1, 
 # exp(-20) is 2e-9, below the error of exp_neg().
 _FARTHEST = 20.0
 _SQUARINGS = 6
-_RIGID_TOLERANCE = 1e-3  # of lengths of axes and of the last row
 
 
 def cosine_sine(angle_rad: float) -> tuple[float, float]:
@@ -53,14 +52,6 @@ def exp_neg(exponents: Float64) -> Float64:
     values = np.zeros_like(exponents)
     values[near] = power
     return values
-
-
-def are_rigid(matrices: Float64) -> bool:
-    """Return whether matrices, shape (n, 3 or 4, 4), all rotate and shift, and do nothing else."""
-    turns = matrices[:, :3, :3]
-    is_unit = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0) <= _RIGID_TOLERANCE
-    is_last = np.abs(matrices[:, 3:] - np.array([0, 0, 0, 1])).max(initial=0) <= _RIGID_TOLERANCE
-    return bool(is_unit and is_last and (np.linalg.det(turns) > 0).all())
 
 
 def moved(points: Float64, matrix: Float64) -> Float64:

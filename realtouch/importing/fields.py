@@ -6,6 +6,8 @@ a column, or one for each picture of its clip. Missing values stay missing.
 
 from __future__ import annotations
 
+import io
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches.poses import bad_pose
 from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
-from tactile_toolkit import arithmetic, errors, wording
+from tactile_toolkit import errors, wording
 from tactile_toolkit.columns import column_types, units
 from tactile_toolkit.value_types import Float64, Int64
 
@@ -42,6 +44,9 @@ BOOKKEEPING = frozenset(
 )
 """Columns by which exports of this toolkit find their files; they become extra columns only if named."""
 _MAX_COLUMNS = 1000
+_RIGID_TOLERANCE = 1e-3  # of lengths of axes and of the last row
+_SEPARATORS = re.compile(r"[\[\](){},;]")  # of the numbers of a matrix
+_NUMPY_MARK = b"\x93NUMPY"
 
 
 def shown(text: object) -> str:
@@ -239,10 +244,52 @@ def _of_angles(numbers: Float64, columns: import_options.ImportColumns) -> tuple
     return position, Rotation.from_rotvec(angles).as_quat()
 
 
+def read_frame(path: str | os.PathLike[str]) -> import_options.Matrix:
+    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY.
+
+    Raises InputError if the file cannot be read or holds no rigid transform.
+    """
+    content = import_options.content_of(path)
+    values: object = content
+    if not content.startswith(_NUMPY_MARK):
+        words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+        values = [words[start : start + 4] for start in range(0, len(words), 4)]
+    return rigid_frame(values, repr(os.fspath(path)))
+
+
+def rigid_frame(values: object, source: str) -> import_options.Matrix:
+    """Return a 4 x 4 matrix, or the content of an NPY file with one, as tuples.
+
+    Raises InputError if it is not a rigid transform.
+    """
+    try:
+        if isinstance(values, bytes):
+            values = np.load(io.BytesIO(values), allow_pickle=False)
+        matrix = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError, EOFError, OSError):
+        matrix = np.empty(0)
+    if matrix.shape != (4, 4):
+        raise errors.InputError(f"the frame {source} is no matrix of numbers; expected 4 x 4 numbers")
+    if not np.isfinite(matrix).all() or not _are_rigid(matrix[None]):
+        raise errors.InputError(
+            f"the frame {source} is no rigid transform; expected a rotation of determinant 1, a translation, "
+            "and the last row 0 0 0 1"
+        )
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def _are_rigid(matrices: Float64) -> bool:
+    """Return whether matrices, shape (n, 3 or 4, 4), all rotate and shift, and do nothing else."""
+    turns = matrices[:, :3, :3]
+    is_unit = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0) <= _RIGID_TOLERANCE
+    is_last = np.abs(matrices[:, 3:] - np.array([0, 0, 0, 1])).max(initial=0) <= _RIGID_TOLERANCE
+    return bool(is_unit and is_last and (np.linalg.det(turns) > 0).all())
+
+
 def _of_matrices(numbers: Float64, _columns: import_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of matrices, (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
-    if not arithmetic.are_rigid(matrices):
+    if not _are_rigid(matrices):
         raise errors.ItemError(
             "pose",
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "

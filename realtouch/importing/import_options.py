@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import io
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import checked_fields, errors, store, wording
+from tactile_toolkit import checked_fields, errors, kind, store, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.value_types import JsonDict
 
@@ -99,8 +98,9 @@ _EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
 LONGEST_NAME = 100  # characters
 _SIMILARITY = 0.8  # a name that is so similar to a known one is a misspelling of it
 _LARGEST_FILE = 1 << 20  # bytes
-_SEPARATORS = re.compile(r"[\[\](){},;]")
-_NUMPY_MARK = b"\x93NUMPY"
+# Imported on use: few commands name a frame, and numpy is slow to import.
+_read_frame = kind.lazy("realtouch.importing.fields:read_frame")
+_rigid_frame = kind.lazy("realtouch.importing.fields:rigid_frame")
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,20 +160,7 @@ class Alignment:
         checked_fields.check_fields(self, "the alignment")
 
 
-def read_frame(path: str | os.PathLike[str]) -> Matrix:
-    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY.
-
-    Raises InputError if the file cannot be read or holds no rigid transform.
-    """
-    content = _content_of(path)
-    values: object = content
-    if not content.startswith(_NUMPY_MARK):
-        words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
-        values = [words[start : start + 4] for start in range(0, len(words), 4)]
-    return rigid_frame(values, repr(os.fspath(path)))
-
-
-def _content_of(path: str | os.PathLike[str]) -> bytes:
+def content_of(path: str | os.PathLike[str]) -> bytes:
     """Return a small file that the user named; InputError if it cannot be read."""
     try:
         with store.open_regular(store.expanded(os.fspath(path))) as stream:
@@ -185,31 +172,6 @@ def _content_of(path: str | os.PathLike[str]) -> bytes:
             f"{os.fspath(path)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file"
         )
     return content
-
-
-def rigid_frame(values: object, source: str) -> Matrix:
-    """Return a 4 x 4 matrix, or the content of an NPY file with one, as tuples.
-
-    Raises InputError if it is not a rigid transform.
-    """
-    import numpy as np  # these imports are slow, and few commands name a frame
-
-    from tactile_toolkit.arithmetic import are_rigid
-
-    try:
-        if isinstance(values, bytes):
-            values = np.load(io.BytesIO(values), allow_pickle=False)
-        matrix = np.array(values, np.float64)
-    except (TypeError, ValueError, OverflowError, EOFError, OSError):
-        matrix = np.empty(0)
-    if matrix.shape != (4, 4):
-        raise errors.InputError(f"the frame {source} is no matrix of numbers; expected 4 x 4 numbers")
-    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
-        raise errors.InputError(
-            f"the frame {source} is no rigid transform; expected a rotation of determinant 1, a translation, "
-            "and the last row 0 0 0 1"
-        )
-    return tuple(map(tuple, matrix.tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +281,7 @@ class ImportColumns:
     frame: Matrix | None = checked_fields.text(
         name="--transform",
         metavar="FILE",
-        read=read_frame,
+        read=_read_frame,
         panel="Columns",
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
     )
@@ -328,9 +290,9 @@ class ImportColumns:
         checked_fields.check_fields(self, "the columns")
         frame: object = self.frame
         if isinstance(frame, str | os.PathLike):
-            frame = read_frame(frame)
+            frame = _read_frame(frame)
         elif frame is not None:
-            frame = rigid_frame(frame, "of the columns")
+            frame = _rigid_frame(frame, "of the columns")
         for name, value in (("frame", frame), ("extra", tuple(map(tuple, self.extra)))):
             object.__setattr__(self, name, value)
         self._check_orientation()
@@ -589,7 +551,7 @@ def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
         source = ""
         if text.startswith("@"):
             source = f"{text} "
-            content = _content_of(text[1:]).decode("utf-8-sig", errors="replace")
+            content = content_of(text[1:]).decode("utf-8-sig", errors="replace")
             lines = [
                 line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
             ]

@@ -45,7 +45,6 @@ from .locks import (
 from .manifest import (
     CARD_FILE as CARD_FILE,
     damaged_error as damaged_error,
-    DATA_FOLDER as DATA_FOLDER,
     decode as decode,
     Finding as Finding,
     Manifest as Manifest,
