@@ -56,6 +56,7 @@ NOT_RUN = ("docs/operators.md", "docs/install.md")
 
 NEEDED = {
     "envs": "ap_gym",
+    "film": "moviepy",
     "libraries": "torchrl",
     "loaders": "grain",
     "mujoco": "mujoco",
