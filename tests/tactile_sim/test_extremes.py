@@ -186,6 +186,7 @@ CALLS: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
     "TouchTable": (tactile_sim.TouchTable, {"x_m": [0.0], "y_m": [0.0]}),
     "TouchSetSpec": (tactile_sim.TouchSetSpec, {"optics": "depth"}),
     "PairSetSpec": (tactile_sim.PairSetSpec, {}),
+    "GraspSpec": (tactile_sim.GraspSpec, {"optics": "depth"}),
     "TrainConfig": (tactile_sim.TrainConfig, {}),
     "TrainRun": (tactile_sim.TrainRun, {}),
     **{
@@ -216,7 +217,13 @@ NOT_TRIED = {
         "TouchPreview",
     ),  # results
     "GelLoad",  # is checked where it is used
-    *("TouchGenerator", "PairGenerator", "generate", "make_pairs"),  # take specifications and names
+    *(
+        "TouchGenerator",
+        "PairGenerator",
+        "GraspGenerator",
+        "generate",
+        "make_pairs",
+    ),  # take specifications and names
     *("read_recordings", "images_of"),  # take names
 }
 
