@@ -122,21 +122,6 @@ def test_otsu_agrees_with_scikit_image(levels: np.ndarray) -> None:
     assert spread(otsu_threshold(levels)) == pytest.approx(spread(int(threshold_otsu(levels))))
 
 
-def test_clean_drops_specks_and_fills_pinholes_below_the_limit_only() -> None:
-    mask = np.zeros((80, 80), bool)
-    mask[20:60, 20:60] = True
-    mask[30:33, 30:33] = False
-    mask[40:44, 40:44] = False
-    mask[5:9, 5:9] = True
-    mask[70:75, 70:75] = True
-    result = cleaned(mask, speck_px=20, pinhole_px=10)
-    assert result[31, 31]
-    assert not result[41, 41]
-    assert not result[6, 6]
-    assert result[72, 72]
-    assert count_bodies_and_holes(result) == (2, 1)
-
-
 def a_stroke(attached: list[str], angle_deg: float = 0, wide_px: int = 41) -> np.ndarray:
     """Return a bar, and a shape below its middle."""
     rows, columns = np.mgrid[:160, :160] - 80
