@@ -5,7 +5,7 @@ a row for each touch with image, label, position and pose: as Parquet, or as tar
 import, it verifies each image with Pillow, reads its values from a table or JSON, and writes all with pyarrow
 as one Parquet file. The limit is reading alone.
 
-    python benchmarks/exchange.py [--rounds 100]
+    python benchmarks/exchange.py [--rounds 40]
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[str, 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--only", nargs="*", choices=COMMANDS, default=list(COMMANDS))
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -209,7 +209,7 @@ def main() -> None:
                     continue
                 ours_s, plain_s, read_s = (1 / rate for rate in per_second(jobs, home))
                 tell(
-                    f"{what}_{size[0]}", f"a touch, `{COMMANDS[what]}`, {name}", ours_s, "s",
+                    f"{what}_{size[0]}", f"a touch of {touches:,}, `{COMMANDS[what]}`, {name}", ours_s, "s",
                     statistic=f"median of {TURNS}", plain=(plain_s, way), limit=(read_s, "reading alone"),
                 )  # fmt: skip
 
