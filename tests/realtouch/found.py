@@ -99,8 +99,8 @@ def require_pictures_or_messages(source: Path, layout: str, image: str = "file",
             touches = find_source(str(source), spec).touches
             usable = touches.take(np.flatnonzero(touches.is_usable))
             contents = list(IMPORTS[layout].contents(usable))
-            assert len(contents) == sum(max(1, place.frames) for place in usable) < 10_000
-            assert all(isinstance(each, (bytes, ItemError)) for each in contents)
+            assert len(contents) == sum(max(1, picture.frames) for picture in usable) < 10_000
+            assert all(isinstance(content, (bytes, ItemError)) for content in contents)
             read += 1
         path.write_bytes(whole[path])
     assert read

@@ -148,7 +148,7 @@ def with_depth(source: Path, home: Path) -> tuple[Path, list[np.ndarray]]:
     counts = random.integers(0, 2**16, (3, 5, height, width), np.uint16)
     files: list[list[dict[str, Any]]] = []
     for maps in counts:
-        files.append([{"bytes": encoded(each, "PNG"), "path": None} for each in maps])
+        files.append([{"bytes": encoded(depth, "PNG"), "path": None} for depth in maps])
     return with_extras(source, home, {"depth_um": files}), list(counts.reshape(15, height, width) / 1e6)
 
 

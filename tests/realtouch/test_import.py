@@ -33,13 +33,11 @@ def contents(touch: realtouch.Touch) -> set[bytes]:
 @pytest.mark.parametrize("layout", BOTH_WAYS)
 def test_an_export_comes_back(layout: str, kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """By the shortest commands; formats without clips have the image at the end of contact."""
-    if layout in ("oxt", "replay"):
-        pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
     source, there, back = request.getfixturevalue(f"{kind}_folder"), tmp_path / "there", tmp_path / "back"
     exported = ("export", source, "--split", "train", "--format", layout, "--out", there, "-w", 1)
     assert call("tactile", *exported) == 0
     assert call("realtouch", "import", there, "--out", back, "-w", 1) == 0
-    before, after = (realtouch.load(each, "train") for each in (source, back))
+    before, after = (realtouch.load(folder, "train") for folder in (source, back))
     assert after.ids.tolist() == before.ids.tolist()
     assert (after.label_names, after.labels.tolist()) == (before.label_names, before.labels.tolist())
     assert after.touch_counts.tolist() == before.touch_counts.tolist()
@@ -48,7 +46,7 @@ def test_an_export_comes_back(layout: str, kind: str, request: pytest.FixtureReq
     tolerance = 1e-7 if layout in ("lerobot", "replay") else 0.0  # single precision there
     for old, new in zip(before.touches(), after.touches(), strict=True):
         if layout in ("oxt", "replay"):  # pixels, which clips have as JPEG again
-            shown = [(each.clip.frames() if has_clips else each.image).astype(int) for each in (old, new)]
+            shown = [(touch.clip.frames() if has_clips else touch.image).astype(int) for touch in (old, new)]
             assert np.abs(shown[0] - shown[1]).mean() < 3 * has_clips + 1e-9
         else:
             assert contents(new) <= contents(old)
@@ -58,7 +56,7 @@ def test_an_export_comes_back(layout: str, kind: str, request: pytest.FixtureReq
             continue
         assert new.object_id == old.object_id
         np.testing.assert_allclose(new.pos_in_cell_m, old.pos_in_cell_m, rtol=0, atol=tolerance)
-        poses = [each.clip.poses if has_clips else each.gel_pose for each in (new, old)]
+        poses = [touch.clip.poses if has_clips else touch.gel_pose for touch in (new, old)]
         for name in ("translation", "quaternion"):
             np.testing.assert_allclose(*(getattr(pose, name) for pose in poses), rtol=0, atol=tolerance)
         if has_clips:

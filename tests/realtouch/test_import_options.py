@@ -110,7 +110,7 @@ def test_every_option_and_format_is_tried() -> None:
 @pytest.mark.parametrize("group", ["spec", "columns", "alignment"])
 @pytest.mark.parametrize(
     "layout",
-    [each if each in AT_A_DESK else pytest.param(each, marks=pytest.mark.thorough) for each in IMPORTS],
+    [name if name in AT_A_DESK else pytest.param(name, marks=pytest.mark.thorough) for name in IMPORTS],
 )
 def test_an_option_changes_the_import_or_is_refused(
     layout: str, group: str, source_of: Callable[[str], Path], tmp_path: Path

@@ -15,8 +15,9 @@ from tests.realtouch.factories import make_round, single_rows, write_set
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give six rounds of 256 touches; the gel is replaced after the fourth, which was recorded third."""
-    alike, few = make_round(0, 256, (64, 64), (2, 3)), [make_round(index, 1) for index in range(6)]
-    rounds = [replace(each, touches=alike.touches, pos_in_cell_m=alike.pos_in_cell_m) for each in few]
+    alike = make_round(0, 256, (64, 64), (2, 3))
+    few = [make_round(index, 1) for index in range(6)]
+    rounds = [replace(round_, touches=alike.touches, pos_in_cell_m=alike.pos_in_cell_m) for round_ in few]
     rounds = [replace(each, gel_id=17 if index < 4 else 23) for index, each in enumerate(rounds)]
     shuffled = [rounds[index] for index in (5, 0, 3, 1)]
     folder = tmp_path_factory.mktemp("reproduce")
