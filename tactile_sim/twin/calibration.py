@@ -136,14 +136,12 @@ def _saturated(recordings: Recordings, touch: int, unsaturated_share: float) -> 
 
 
 def _require_explained(fit: Fit) -> None:
-    """Raise InputError if the solids explain little of the images: such a twin would render noise."""
-    used = np.flatnonzero(fit.used).tolist()
-    explained = float(np.median([1 - (fit.rms[touch] / fit.change(touch)) ** 2 for touch in used]))
-    if explained < _MIN_EXPLAINED:
+    """Raise InputError if touches that were held out are little explained: such a twin would render noise."""
+    if fit.explained < _MIN_EXPLAINED:
         raise InputError(
-            f"the solids and their poses explain {max(explained, 0):.0%} of how touches change the images; "
-            f"expected at least {_MIN_EXPLAINED:.0%}",
-            next="check that solids, poses and images are of the same touches",
+            f"the solids and their poses explain {max(fit.explained, 0):.0%} of how touches that were held "
+            f"out change the images; expected at least {_MIN_EXPLAINED:.0%}",
+            next="check that solids, poses, heights z_m and images are of the same touches",
         )
 
 

@@ -115,6 +115,7 @@ class Fit:
     likely: Bool = field(init=False)
     used: Bool = field(init=False)
     rms: Float64 = field(init=False)
+    explained: float = field(init=False, default=0.0)
     shrink: int = field(init=False, default=1)
 
     def __post_init__(self) -> None:
@@ -323,23 +324,41 @@ class Fit:
         self.behind = self.background
 
     def choose_ridge(self) -> None:
-        """Choose the ridge with which a fit to the other touches predicts every fifth touch best."""
+        """Choose the ridge with which a fit to the other touches predicts every fifth touch best.
+
+        ``explained`` becomes the share of the squared change of the images of every fifth touch that the
+        response of this fit explains, median.
+        """
         parts = [_Sums(len(self.poses)), _Sums(len(self.poses))]
-        for number, touch in enumerate(np.flatnonzero(self.used)):
-            self._add(parts[number % 5 == 4], int(touch), ())
+        used = np.flatnonzero(self.used)
+        is_held_out = np.arange(len(used)) % 5 == min(4, len(used) - 1)
+        for touch, part in zip(used.tolist(), is_held_out.tolist(), strict=True):
+            self._add(parts[part], touch, ())
         train, held_out = parts
         if not (train.weight and held_out.weight):
             return
-        before = self.coefficients.reshape(COEFFICIENTS, 3)
+        before = self.coefficients
         errors = []
+        changes = []
         for ridge in RIDGES:
             cost = ridge * train.scale * self.penalty
             factor = scipy.linalg.cho_factor(train.normal + cost, lower=True, check_finite=False)
-            change = scipy.linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
+            right = train.products[:, 0] - cost @ before.reshape(COEFFICIENTS, 3)
+            change = scipy.linalg.cho_solve(factor, right, check_finite=False)
             errors.append(
                 np.sum(change * (held_out.full() @ change)) - 2 * np.sum(change * held_out.products[:, 0])
             )
-        self.ridge = RIDGES[int(np.argmin(errors))]
+            changes.append(change)
+        best = int(np.argmin(errors))
+        self.ridge = RIDGES[best]
+        self.coefficients = before + changes[best].reshape(before.shape)
+        self.explained = float(np.median([self.explained_share(touch) for touch in used[is_held_out]]))
+        self.coefficients = before
+
+    def explained_share(self, touch: int) -> float:
+        """Return the share of the squared change of an image that the fit explains."""
+        self.residual(touch)
+        return float(1 - (self.rms[touch] / self.change(touch)) ** 2)
 
 
 class _Sums:

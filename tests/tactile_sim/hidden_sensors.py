@@ -187,9 +187,9 @@ class HiddenSensor:
         surface_mm = 1e3 * (pressed.sensor_z_m - pressed.depth_m)
         across, down = self._margins
         top_mm = surface_mm[down : down + height, across : across + width].max()
-        into_mm = np.maximum(surface_mm - (top_mm - press_mm), 0.0)
-        into_mm = np.minimum(into_mm, press_mm)  # higher points are outside of the image
-        gel_mm, contact = self._gel(into_mm, press_mm)
+        reach_mm = np.minimum(surface_mm - (top_mm - press_mm), press_mm)  # higher points are outside
+        into_mm = np.maximum(reach_mm, 0.0)
+        gel_mm, contact = self._gel(reach_mm, press_mm)
         clean = self._camera(self._projected(self._shown(gel_mm, contact), gel_mm))
         sensor_at = np.array([*at, (top_mm - press_mm + self.gel_mm) / 1e3])
         pose = np.array([*object_m, turn])
@@ -198,8 +198,12 @@ class HiddenSensor:
 
     # ---------------------------------------------------------------- gel
 
-    def _gel(self, into_mm: Array, press_mm: float) -> tuple[Array, Array]:
-        """Return how far the surface of the gel is pressed in, mm, and where it touches."""
+    def _gel(self, reach_mm: Array, press_mm: float) -> tuple[Array, Array]:
+        """Return how far the surface of the gel is pressed in, mm, and where it touches.
+
+        ``reach_mm`` is how far the solid lies above the gel at rest, negative below it.
+        """
+        into_mm = np.maximum(reach_mm, 0.0)
         contact = into_mm > self.contact * press_mm
         if self.family == "phong":
             return self._dragged(into_mm), contact

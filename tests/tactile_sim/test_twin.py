@@ -90,6 +90,19 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
 
+def test_a_twin_that_does_not_explain_held_out_touches_is_refused(six_touches):
+    """Colours that suit some touches of wrong solids do not suit another touch."""
+    swapped = dataclasses.replace(six_touches, object_ids=1 - six_touches.object_ids)
+    right, wrong = begun(six_touches), begun(swapped)
+    for fit in (right, wrong):
+        fit.step()
+        fit.choose_ridge()
+    assert right.explained > 0.6
+    calibration._require_explained(right)
+    with pytest.raises(InputError, match="held out change the images; expected at least 40%"):
+        calibration._require_explained(wrong)
+
+
 @pytest.mark.parametrize(
     "too_far", [6.0, *(pytest.param(far, marks=pytest.mark.thorough) for far in (1.0, 3.0))]
 )

@@ -1,5 +1,6 @@
 """A third kind of hidden sensors: an elastic layer that near lamps light and a camera near it sees.
 
+The gel rises around a contact, as it keeps its volume.
 Rows of lamps stand around the gel. Their light falls off with the square of the distance, shadows are marched
 along its rays, and slopes light each other. The camera is a pinhole whose image is stored as JPEG 4:2:0.
 The white balance may wander from frame to frame, and prints may be smaller than their meshes.
@@ -56,21 +57,21 @@ class ThirdSensor(HiddenSensor):
         }
         return replace(super().record(prints, touches, seed, *args, **options), solids=dict(solids))
 
-    def _gel(self, into_mm: Array, press_mm: float) -> tuple[Array, Array]:
-        rows, columns = (side - side % 2 for side in into_mm.shape)
+    def _gel(self, reach_mm: Array, press_mm: float) -> tuple[Array, Array]:
+        rows, columns = (side - side % 2 for side in reach_mm.shape)
         load = tactile_sim.GelLoad(
             depth_m=press_mm / 1e3, gel=tactile_sim.Gel(poisson_ratio=self.poisson_ratio, friction=0.0)
         )
         pressed = tactile_sim.solve_contact(
-            into_mm[:rows, :columns] / 1e3,
+            reach_mm[:rows, :columns] / 1e3,
             self.pitch_mm / 1e3,
             load,
             thickness_m=self.gel_mm / 1e3,
             block_px=max(1, 2 * (round(0.24 / self.pitch_mm) // 2)),
         )
-        more = [(0, side - inner) for side, inner in zip(into_mm.shape, (rows, columns), strict=True)]
+        more = [(0, side - inner) for side, inner in zip(reach_mm.shape, (rows, columns), strict=True)]
         gel_mm = np.pad(1e3 * pressed.displacement_m[..., 2], more, mode="edge")
-        return ndimage.gaussian_filter(gel_mm, self.skin_mm / self.pitch_mm), into_mm > 0
+        return ndimage.gaussian_filter(gel_mm, self.skin_mm / self.pitch_mm), reach_mm > 0
 
     def _places(self, gel_mm: Array) -> tuple[Array, Array]:
         """Return x and y of the pixels of the frame, mm, from the middle, y upwards."""
