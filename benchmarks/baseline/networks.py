@@ -1,8 +1,10 @@
-"""Two small networks on maps of 32 x 32 pixels: one reads the answer, one chooses where to go."""
+"""Two small networks on maps of touches: one reads the answer, one chooses where to go."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import nn
@@ -25,19 +27,40 @@ def trunk(channels: int) -> nn.Sequential:
     return stored
 
 
+def normalised(widths: Sequence[int], *layers: nn.Module) -> nn.Sequential:
+    """Return convolutions of stride 2 between layers of some widths, batch-normalised, and further layers."""
+    parts: list[nn.Module] = []
+    for width, next_width in itertools.pairwise(widths):
+        convolution = nn.Conv2d(width, next_width, 3, stride=2, padding=1, bias=False)
+        parts += [convolution, nn.BatchNorm2d(next_width), nn.ReLU()]
+    stored: nn.Sequential = nn.Sequential(*parts, *layers).to(memory_format=torch.channels_last)
+    return stored
+
+
 class Reader(nn.Module):
     """Predicts the answer from a map, and from where the map lies in the cell.
 
-    ``locates`` states that the outputs are a position in the cell and a direction: they count from the frame
-    of the map.
+    ``side`` is the width of the map, pixels, 32 or 64. ``counts`` states that the answer is a number of
+    shapes, which is the same however the map is moved, turned or mirrored; ``locates``, that the outputs are
+    a position in the cell and a direction: they count from the frame of the map.
     """
 
-    def __init__(self, outputs: int, *, locates: bool) -> None:
+    def __init__(self, outputs: int, side: int, *, counts: bool, locates: bool) -> None:
         super().__init__()
-        self.body, self.head, self.locates = trunk(2), nn.Linear(128 + 4, outputs), locates
+        if counts:
+            self.body = normalised([2, 16, 32, 128], nn.AdaptiveAvgPool2d(1), nn.Flatten())
+        elif side == 64:
+            self.body = normalised([2, 16, 32, 64, 64], nn.Flatten(), nn.Linear(1024, 128), nn.ReLU())
+        else:
+            self.body = trunk(2)
+        self.head, self.counts, self.locates = nn.Linear(128 + 4, outputs), counts, locates
 
     def forward(self, maps: torch.Tensor, frames: torch.Tensor) -> torch.Tensor:
-        """Return predictions for maps (n, 2, 32, 32) in frames (n, 4): x, y in half cells, cosine, sine."""
+        """Return predictions for maps (n, 2, h, w) in frames (n, 4): x, y in half cells, cosine, sine."""
+        if self.counts and self.training:
+            quarters, is_mirrored = torch.randint(4, ()), torch.randint(2, ())
+            maps = torch.rot90(maps, int(quarters), (2, 3))
+            maps = maps.flip(3) if is_mirrored else maps
         predictions: torch.Tensor = self.head(torch.cat([self.body(maps), frames], 1))
         if not self.locates:
             return predictions

@@ -22,12 +22,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from agents import Agent, LearnedAgent, RandomAgent, tensor
+from agents import Agent, LearnedAgent, RandomAgent, View, tensor
 from networks import Explorer, Reader, nearest_ways
 from numpy.typing import NDArray
 
 import env_assets
 import tactile_envs
+from tactile_envs.env_specs import env_specs
 from tactile_envs.episodes.touch_maps import OBJECT_RELIEF
 
 _LINE_INTERVAL_S = 5.0
@@ -35,22 +36,44 @@ _LINE_INTERVAL_S = 5.0
 
 @dataclass(frozen=True)
 class Task:
-    """An environment of the paper: ids for training and test, kind of objects, and what the reader does."""
+    """An environment of the paper: ids for training and test, and what the reader does.
+
+    ``rate`` is the learning rate of the reader, ``per_class`` the number of training objects of each class.
+    """
 
     trained: str
     tested: str
-    objects: str
-    follows: bool = True
+    view: View
+    counts: bool = False
     locates: bool = False
+    rate: float = 1e-3
+    per_class: int = 300
+
+    def reader(self, outputs: int) -> Reader:
+        """Return an untrained reader with so many outputs."""
+        return Reader(outputs, self.view.side, counts=self.counts, locates=self.locates)
 
 
 TASKS = {
-    "TactileMNIST": Task("TactileMNIST-Depth-train-v0", "TactileMNIST-Depth-test-v0", "mnist3d"),
+    "TactileMNIST": Task("TactileMNIST-Depth-train-v0", "TactileMNIST-Depth-test-v0", View()),
     "TactileMNISTVolume": Task(
-        "TactileMNISTVolume-Depth-train-v0", "TactileMNISTVolume-Depth-test-v0", "mnist3d"
+        "TactileMNISTVolume-Depth-train-v0", "TactileMNISTVolume-Depth-test-v0", View()
     ),
-    "Starstruck": Task("Starstruck-Depth-train-v0", "Starstruck-Depth-test-v0", "starstruck", follows=False),
-    "Toolbox": Task("Toolbox-Depth-v0", "Toolbox-Depth-v0", "wrench", locates=True),
+    "Starstruck": Task(
+        "Starstruck-Depth-train-v0",
+        "Starstruck-Depth-test-v0",
+        View(follows=False, side=64, pixel_m=0.0015),  # a star is 20 mm wide
+        counts=True,
+        rate=4e-3,
+        per_class=1000,
+    ),
+    "Toolbox": Task(
+        "Toolbox-Depth-v0",
+        "Toolbox-Depth-v0",
+        View(turns=True, side=64, pixel_m=0.003),  # its ends are 29 and 22 mm wide
+        locates=True,
+        rate=4e-3,
+    ),
 }
 
 
@@ -103,6 +126,7 @@ def train_reader(reader: Reader, player: Player, agent: Agent, seconds: float, r
     """Train on the maps of episodes until the time is over; return the number of touches."""
     optimiser = torch.optim.AdamW(reader.parameters(), rate, weight_decay=1e-2)
     touches, losses = 0, list[float]()
+    reader.train()
     for share in phase(type(agent).__name__, seconds, losses):
         optimiser.param_groups[0]["lr"] = rate * min(1, 20 * share + 0.05) * (1 + np.cos(np.pi * share)) / 2
         episode = player.play(agent)
@@ -117,16 +141,17 @@ def train_reader(reader: Reader, player: Player, agent: Agent, seconds: float, r
             optimiser.step()
             losses.append(loss.item())
         touches += len(episode["view"])
+    reader.eval()
     return touches
 
 
-def imitate(explorer: Explorer, player: Player, follows: bool, turns: bool, seconds: float) -> int:
+def imitate(explorer: Explorer, player: Player, view: View, seconds: float) -> int:
     """Learn the steps of the rule where the network itself goes; return the number of touches."""
     optimiser = torch.optim.Adam(explorer.actor.parameters(), 1e-3)
     touches, losses = 0, list[float]()
     for share in phase("imitation", seconds, losses):
         optimiser.param_groups[0]["lr"] = 1e-3 * (1 - share) + 1e-5
-        episode = player.play(LearnedAgent(follows, turns, explorer))
+        episode = player.play(LearnedAgent(view, explorer))
         maps, steps = tensor(episode["around_sensor"]), nearest_ways(torch.from_numpy(episode["rule"]))
         for chosen in torch.randperm(len(maps)).split(256):
             loss = -explorer(maps[chosen]).log_prob(steps[chosen]).mean()
@@ -138,12 +163,10 @@ def imitate(explorer: Explorer, player: Player, follows: bool, turns: bool, seco
     return touches
 
 
-def improve(
-    explorer: Explorer, reader: Reader, player: Player, follows: bool, turns: bool, seconds: float
-) -> int:
+def improve(explorer: Explorer, reader: Reader, player: Player, view: View, seconds: float) -> int:
     """Improve a network by PPO (clip 0.2, lambda 0.95); the reward is minus the loss of the reader."""
     optimiser = torch.optim.Adam(explorer.parameters(), 3e-4)
-    agent = LearnedAgent(follows, turns, explorer)
+    agent = LearnedAgent(view, explorer)
     agent.samples = True
     touches, count, losses = 0, player.count, list[float]()
     for share in phase("learned", seconds, losses):
@@ -185,9 +208,11 @@ class Training:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options, self.task = options, TASKS[options.task]
-        env_assets.AssetProvider(options.assets, generate=True, per_class=options.per_class).meshes(
-            self.task.objects, "train"
-        )
+        per_class = options.per_class or self.task.per_class
+        provider = env_assets.AssetProvider(options.assets, generate=True, per_class=per_class)
+        for env_id in (self.task.trained, self.task.tested):
+            objects = env_specs()[env_id]
+            provider.meshes(objects.assets, objects.split)
         spec = tactile_envs.EpisodeSpec(
             self.task.trained,
             num_envs=options.num_envs,
@@ -213,25 +238,25 @@ class Training:
 
     def run(self) -> None:
         """Train all parts, and write their reports and weights."""
-        follows, turns = self.task.follows, self.task.locates
+        view = self.task.view
         shares = 0.8, 0.2, 0.0
         if self.options.explore:
             shares = 0.4, 0.1, 0.25
         outputs = self.player.env.prediction_space.shape[1]
-        reader, explorer = Reader(outputs, locates=self.task.locates), Explorer()
-        touches = train_reader(reader, self.player, Agent(follows, turns), shares[0] * self.seconds, 1e-3)
-        self.evaluate("rule", Agent(follows, turns, reader), touches)
-        second = Reader(outputs, locates=self.task.locates)
+        reader, explorer = self.task.reader(outputs), Explorer()
+        touches = train_reader(reader, self.player, Agent(view), shares[0] * self.seconds, self.task.rate)
+        self.evaluate("rule", Agent(view, reader), touches)
+        second = self.task.reader(outputs)
         second.load_state_dict(reader.state_dict())
         touches = train_reader(
-            second, self.player, RandomAgent(follows, turns), shares[1] * self.seconds, 3e-4
+            second, self.player, RandomAgent(view), shares[1] * self.seconds, 0.3 * self.task.rate
         )
-        self.evaluate("random", RandomAgent(follows, turns, second), touches)
+        self.evaluate("random", RandomAgent(view, second), touches)
         if self.options.explore:
-            touches = imitate(explorer, self.player, follows, turns, shares[2] * self.seconds)
-            self.evaluate("imitation", LearnedAgent(follows, turns, explorer, reader), touches)
-            touches = improve(explorer, reader, self.player, follows, turns, shares[2] * self.seconds)
-            self.evaluate("learned", LearnedAgent(follows, turns, explorer, reader), touches)
+            touches = imitate(explorer, self.player, view, shares[2] * self.seconds)
+            self.evaluate("imitation", LearnedAgent(view, explorer, reader), touches)
+            touches = improve(explorer, reader, self.player, view, shares[2] * self.seconds)
+            self.evaluate("learned", LearnedAgent(view, explorer, reader), touches)
         networks = {"reader": reader, "random_reader": second, "explorer": explorer}
         torch.save(
             {name: network.state_dict() for name, network in networks.items()},
@@ -248,7 +273,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60, help="processor time of all training")
     parser.add_argument("--explore", action="store_true", help="also train a network that explores")
     parser.add_argument("--assets", default="baseline-assets", help="folder of the objects")
-    parser.add_argument("--per-class", type=int, default=300, help="objects of each class for training")
+    parser.add_argument(
+        "--per-class", type=int, help="objects of each class for training (default: 300 digits, 1,000 scenes)"
+    )
     parser.add_argument("--num-envs", type=int, default=128, help="environments side by side in training")
     parser.add_argument("--episodes", type=int, default=500, help="episodes of each seed of an evaluation")
     parser.add_argument("--seeds", type=int, default=5, help="seeds of an evaluation")

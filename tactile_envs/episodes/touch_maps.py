@@ -24,6 +24,8 @@ _LEAST_SHOWN = 0.25
 _FADING = 0.9
 _ELSEWHERE = 0.3
 _COST_PER_M = 10.0
+_SEARCH_M = 0.07
+_SPACING = 2.0
 
 
 class TouchMaps:
@@ -36,6 +38,8 @@ class TouchMaps:
     ----------
     env : TactileVectorEnv
         Environments with simulated touches.
+    pixel_m : float, optional
+        Width of a pixel, if other than that.
 
     Attributes
     ----------
@@ -59,14 +63,15 @@ class TouchMaps:
         The touches of the environments are recorded, not simulated.
     """
 
-    def __init__(self, env: TactileVectorEnv) -> None:
+    def __init__(self, env: TactileVectorEnv, pixel_m: float | None = None) -> None:
         if env.camera is None:
             raise InputError(
                 "maps of touches need simulated touches; those of this environment are recorded",
                 next="choose an id without RealSnap",
             )
         config, sensor = env.config, env.camera.sensor
-        self.pixel_m = _LARGE_PIXEL_M if max(config.cell_size) > _LARGE_CELL_M else _PIXEL_M
+        self._is_large = max(config.cell_size) > _LARGE_CELL_M
+        self.pixel_m = pixel_m or (_LARGE_PIXEL_M if self._is_large else _PIXEL_M)
         self._low_m, self._high_m = env.sensor_pos_limits
         self._press_m, self._gel_m = sensor.press_m, sensor.gel_m
         self._longest_m = config.max_distance(config.linear_velocity, config.linear_acceleration)
@@ -128,12 +133,18 @@ class TouchMaps:
     def next_steps(self) -> Float32:
         """Return the next move of sensors, (n, 3), to unknown surface next to an object; z stays 0.
 
-        Elsewhere, unknown surface is worth less, and least at the edge of the cell.
+        Elsewhere, unknown surface is worth less, and least at the edge of the cell. In large cells, surface
+        is worth nothing if half of the 7 cm around is known: touches that lie apart meet an object sooner.
         """
         is_object = self.relief > OBJECT_RELIEF
         view = (1, self._view_px, self._view_px)
         is_near, is_next = (ndimage.maximum_filter(is_object, size) for size in (view, (1, 3, 3)))
-        worth = np.maximum((is_near + np.float32(1) * is_next) / 2, self._elsewhere)
+        elsewhere = self._elsewhere
+        if self._is_large:
+            search_px = 2 * int(_SEARCH_M / 2 / self.pixel_m) + 1
+            known = ndimage.uniform_filter((self.freshness > 0).astype(np.float32), (1, search_px, search_px))
+            elsewhere = elsewhere * np.maximum(0, 1 - _SPACING * known)
+        worth = np.maximum((is_near + np.float32(1) * is_next) / 2, elsewhere)
         worth[self.freshness > 0] = 0
         x_m, y_m = self.x_m - self.positions_m[:, :1], self.y_m - self.positions_m[:, 1:]
         too_far_m = np.maximum(0, np.hypot(x_m[:, None, :], y_m[:, :, None]) - self._longest_m)

@@ -511,7 +511,7 @@ def _boxes(folder: Path) -> Path:
 @pytest.mark.parametrize(("env_id", "pixel_m"), [(ID, 0.003), ("Toolbox-Depth-v0", 0.006)])
 def test_maps_show_the_touched_surface_where_it_is(tmp_path, env_id, pixel_m):
     still = {"perturb_object_pose": False, "step_limit": 24}
-    env = make_vector(env_id, num_envs=16, assets=_boxes(tmp_path), config=still)
+    env = make_vector(env_id, num_envs=32, assets=_boxes(tmp_path), config=still)
     policy = policies.RulePolicy()
     observation, _ = env.reset(seed=4)
     policy.begin(env, 4)
@@ -530,6 +530,14 @@ def test_maps_show_the_touched_surface_where_it_is(tmp_path, env_id, pixel_m):
         np.testing.assert_allclose(maps.relief[row][inside], 100 * height_m, atol=0.01)
         assert maps.relief[row][is_shown[row] & (outside_m > pixel_m)].max(initial=0) < 0.01
     assert (maps.relief > touch_maps.OBJECT_RELIEF).any(axis=(1, 2)).sum() > 2
+
+
+def test_a_search_of_a_large_cell_leaves_gaps(tmp_path):
+    env = make_vector("Toolbox-Depth-v0", num_envs=1, assets=_boxes(tmp_path))
+    maps = touch_maps.TouchMaps(env, pixel_m=0.002)
+    maps.freshness[:, :, maps.x_m > -0.01] = 1
+    maps.freshness[:, :, (maps.x_m > 0.002) & (maps.x_m < 0.018)] = 0  # as wide as a touch
+    assert maps.next_steps()[0, 0] < -0.5
 
 
 def test_the_rule_meets_objects_far_more_often_than_chance(tmp_path, assets):
