@@ -127,7 +127,7 @@ def raise_within(pool: Pool, number: int, edges: int, view: View, workspace: Wor
     ``edges`` is the number of edges of the area in the workspace, as :func:`write_edge` writes them.
     """
     vertices, faces, starts, grids = pool
-    corners, area = workspace[2], workspace[5]
+    heights, _, corners, weights, boxes, area, blocks, singles = workspace
     grid = grids[number]
     first_vertex = np.uint64(grid[0])
     first_start, across, up = int(grid[3]), int(grid[4]), int(grid[5])
@@ -154,7 +154,10 @@ def raise_within(pool: Pool, number: int, edges: int, view: View, workspace: Wor
         # Only the last batch may be incomplete.
         is_last = begin == end and line > last_line
         if waiting == _BATCH or (is_last and waiting > 0):
-            _raise_batch(workspace, view, waiting)
+            _prepare(heights, corners, weights, boxes, view)
+            _raise_large(heights, weights, boxes, waiting)
+            _draw_blocks(blocks, singles, weights)
+            _raise_blocks(heights, blocks, boxes, waiting)
             waiting, is_any = 0, True
         if is_last:
             return is_any
@@ -298,18 +301,11 @@ def _project(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[f
 
 
 @part
-def _raise_batch(workspace: Workspace, view: View, count: int) -> None:
-    """Raise pixels to the first triangles of a batch."""
-    heights, _, corners, weights, boxes, _, blocks, singles = workspace
+def _raise_blocks(heights: Float32, blocks: Float32, boxes: Int32, count: int) -> None:
+    """Raise pixels to the blocks of the first triangles of a batch."""
     pixels = heights.reshape(heights.size)
     pitch = heights.shape[1]
     spare = len(pixels) - PADDING
-    _prepare(heights, corners, weights, boxes, view)
-    for i in range(count):
-        if boxes[_BATCH + i] - boxes[i] >= _BLOCK or boxes[3 * _BATCH + i] - boxes[2 * _BATCH + i] >= _BLOCK:
-            _raise_large(heights, weights, boxes, i)
-            boxes[3 * _BATCH + i] = -1
-    _draw_blocks(blocks, singles, weights)
     for i in range(count):
         if boxes[i] > boxes[_BATCH + i] or boxes[2 * _BATCH + i] > boxes[3 * _BATCH + i]:
             continue
@@ -359,25 +355,30 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
 
 
 @part
-def _raise_large(heights: Float32, weights: Float64, boxes: Int32, i: int) -> None:
-    """Raise pixels to a triangle that is larger than a block."""
-    b_row = weights[i]
-    c_row = weights[_BATCH + i]
-    b_step, c_step = weights[4 * _BATCH + i], weights[5 * _BATCH + i]
-    b_slack, c_slack = weights[6 * _BATCH + i], weights[7 * _BATCH + i]
-    for row in range(boxes[2 * _BATCH + i], boxes[3 * _BATCH + i] + 1):
-        line = heights[row]
-        along = 0.0
-        for column in range(boxes[i], boxes[_BATCH + i] + 1):
-            b, c = b_row + b_step * along, c_row + c_step * along
-            along += 1.0
-            if b + b_slack >= 0.0 and c + c_slack >= 0.0 and 1.0 + b_slack + c_slack - (b + c) >= 0.0:
-                height = weights[8 * _BATCH + i] + (
-                    b * weights[9 * _BATCH + i] + c * weights[10 * _BATCH + i]
-                )
-                line[column] = max(line[column], np.float32(height))
-        b_row += weights[2 * _BATCH + i]
-        c_row += weights[3 * _BATCH + i]
+def _raise_large(heights: Float32, weights: Float64, boxes: Int32, count: int) -> None:
+    """Raise pixels to those of the first triangles that are larger than a block, and take them out."""
+    for i in range(count):
+        last_row = boxes[3 * _BATCH + i]
+        if boxes[_BATCH + i] - boxes[i] < _BLOCK and last_row - boxes[2 * _BATCH + i] < _BLOCK:
+            continue
+        boxes[3 * _BATCH + i] = -1
+        b_row = weights[i]
+        c_row = weights[_BATCH + i]
+        b_step, c_step = weights[4 * _BATCH + i], weights[5 * _BATCH + i]
+        b_slack, c_slack = weights[6 * _BATCH + i], weights[7 * _BATCH + i]
+        for row in range(boxes[2 * _BATCH + i], last_row + 1):
+            line = heights[row]
+            along = 0.0
+            for column in range(boxes[i], boxes[_BATCH + i] + 1):
+                b, c = b_row + b_step * along, c_row + c_step * along
+                along += 1.0
+                if b + b_slack >= 0.0 and c + c_slack >= 0.0 and 1.0 + b_slack + c_slack - (b + c) >= 0.0:
+                    height = weights[8 * _BATCH + i] + (
+                        b * weights[9 * _BATCH + i] + c * weights[10 * _BATCH + i]
+                    )
+                    line[column] = max(line[column], np.float32(height))
+            b_row += weights[2 * _BATCH + i]
+            c_row += weights[3 * _BATCH + i]
 
 
 @compiled
