@@ -29,6 +29,8 @@ OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
 """Optics of each simulated sensor."""
 MOVE = "sensor_target_pos_rel"
 """The part of an action that moves the sensor, in parts of the longest step."""
+GRIP = "grip"
+"""The part of an action that changes the force of the fingers, in parts of the greatest change."""
 DIRECT = "direct"
 """The sensor that shows recorded images as they are."""
 GELSIGHT_M = (0.032, 0.028)
@@ -36,6 +38,9 @@ GELSIGHT_M = (0.032, 0.028)
 C = TypeVar("C", bound="EpisodeConfig")
 _MAX_ENVS = 1 << 20
 _MAX_THREADS = 1024
+
+_GRASP_SETTINGS = ("step_limit", "sensor_output_size", "action_regularization", "timeout_behavior")
+"""Settings of simulated touches that also apply to grasps, beside those of the optics."""
 
 # Three colours and depth of a pixel, float32.
 _PIXEL_BYTES = 16
@@ -284,6 +289,34 @@ class Config(EpisodeConfig):
         if self.max_platform_penetration is None:
             return -inf
         return self.gel_thickness - self.max_platform_penetration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspConfig(Config):
+    """Settings of lifts between two fingers; a step takes 20 ms.
+
+    Attributes
+    ----------
+    mass_kg : tuple of float
+        Least and greatest mass of a digit, kilograms.
+    friction : float
+        Coefficient of friction between digit and gels.
+    """
+
+    mass_kg: tuple[float, float] = checked_fields.real((0.01, 0.1), above=0, most=1, many=2)
+    friction: float = checked_fields.real(0.5, above=0, most=10)
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if not self.mass_kg[0] < self.mass_kg[1]:
+            raise InputError(f"is {self.mass_kg}; expected two numbers in ascending order", field="mass_kg")
+        plain = Config(sensor_model=self.sensor_model, sensor_type=self.sensor_type)
+        for declared in fields(Config):
+            is_same = getattr(self, declared.name) == getattr(plain, declared.name)
+            if not is_same and declared.name not in _GRASP_SETTINGS:
+                raise InputError(
+                    f"{declared.name} of the environment has no effect on a grasp", next="leave it out"
+                )
 
 
 def _noise_of(value: object) -> tactile_sim.SensorNoise | None:

@@ -16,6 +16,7 @@ from tactile_envs.config import (
     Action,
     Config,
     EpisodeConfig,
+    GraspConfig,
     Info,
     Nested,
     Observation,
@@ -188,19 +189,27 @@ def _simulated(
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return objects in cells, and the task of an environment; InputError if they do not fit."""
     seen_by = scene.Camera(config, options.weights)
-    kind_of_scene = tilted_scene.TiltedScene if config.allow_sensor_rotation else mesh_scene.MeshScene
     try:
         records = object_sets.open_objects(spec, config, options.assets, options.unit)
         if config.real_base_depth_dataset is not None:
             real = _real_touches(config.real_base_depth_dataset, options.assets)
             size_px = seen_by.sensor.size_px
             seen_by.put_behind(recorded_sets.base_depths_m(real, config.real_base_depth_touches, size_px))
-        cells = kind_of_scene(config, records, options.num_envs, options.threads, seen_by)
+        cells = _scene_of(config)(config, records, options.num_envs, options.threads, seen_by)
     except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
         raise error.with_traceback(None) from None
     if options.task is not None:
         return cells, options.task(cells.pool)
-    return cells, _task(spec, config, cells.pool, records.label_names)
+    return cells, _task(spec, config, cells, records.label_names)
+
+
+def _scene_of(config: Config) -> type[mesh_scene.MeshScene]:
+    """Return the class of the cells of an environment."""
+    if isinstance(config, GraspConfig):
+        from tactile_envs import grasp_scene  # MuJoCo is an extra
+
+        return grasp_scene.GraspScene
+    return tilted_scene.TiltedScene if config.allow_sensor_rotation else mesh_scene.MeshScene
 
 
 def _recorded(
@@ -242,9 +251,15 @@ def _real_touches(source: recorded_sets.Source, assets: str | PathLike[str] | No
 
 
 def _task(
-    spec: env_specs.EnvSpec, config: Config, pool: mesh_pool.MeshPool, classes: Sequence[str]
+    spec: env_specs.EnvSpec, config: Config, cells: mesh_scene.MeshScene, classes: Sequence[str]
 ) -> tasks.Task:
     """Return the task of an environment; InputError if all its answers are equal."""
+    pool = cells.pool
+    if isinstance(config, GraspConfig):
+        from tactile_envs import grasp_scene  # MuJoCo is an extra
+
+        assert isinstance(cells, grasp_scene.GraspScene), "as its settings say"
+        return grasp_scene.LiftedMass(cells)
     if spec.task == "classification":
         return tasks.Classification(pool.measure("label").astype(np.int64), classes)
     if spec.task == "volume":

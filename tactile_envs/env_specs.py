@@ -10,12 +10,12 @@ from math import pi
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from tactile_envs.config import DIRECT, GELSIGHT_M, MOVE, SENSORS, Config, RecordedConfig
+from tactile_envs.config import DIRECT, GELSIGHT_M, GRIP, MOVE, SENSORS, Config, GraspConfig, RecordedConfig
 from tactile_sim import SensorNoise
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
 
-Task = Literal["classification", "volume", "pose"]
+Task = Literal["classification", "volume", "pose", "mass"]
 Frame = Literal["model", "mass"]
 
 # tactile-mnist 0.13.0: compute_touch_window_size(256, 16).
@@ -29,6 +29,8 @@ REAL_TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-320x240"
 # tactile-mnist 0.13.0: DR_PENETRATION_DEPTH_REDUCTION_STD, DR_MAX_PLATFORM_PENETRATION.
 _DR_REDUCTION_M, _DR_PLATFORM_M = 0.00065, 0.0
 NAMESPACE = "tactile_envs"
+GRASP_ID = "GraspDigit-v0"
+"""Our own environment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +57,8 @@ class EnvId:
     ----------
     id : str
         Such as ``"TactileMNIST-Depth-train-v0"``.
-    task : "classification", "volume" or "pose"
-        Property of an object to predict: its class, its volume, or its position and, in Toolbox and
+    task : "classification", "volume", "pose" or "mass"
+        Property of an object to predict: its class, its volume, its mass, or its position and, in Toolbox and
         MinecraftPose, its direction.
     sensor : "taxim", "depth", "cycle_gan" or "direct"
         How the images are made; "direct" shows recorded images as they are.
@@ -149,8 +151,9 @@ def _randomized(config: Config, base_depth: str | None) -> Config:
 
 @cache
 def env_specs() -> Mapping[str, EnvSpec]:
-    """Return the environments of all ids of `tactile-mnist` 0.13.0."""
-    specs = {}
+    """Return the environments of all ids: those of `tactile-mnist` 0.13.0, and ours."""
+    grasp = GraspConfig(sensor_output_size=(64, 64), step_limit=32)
+    specs = {GRASP_ID: EnvSpec("mass", "mnist3d", "train", grasp)}
     for family in _families():
         for part, sensor in family.sensors.items():
             plain = replace(family.spec.config, sensor_type=sensor)
@@ -199,6 +202,9 @@ def _row(name: str, spec: EnvSpec) -> EnvId:
     if isinstance(config, Config) and config.allow_sensor_rotation:
         observation["sensor_rot"] = (6,)
         action["sensor_target_rot_rel"] = (3,)
+    if isinstance(config, GraspConfig):
+        observation = {"sensor_img": (height, 2 * width, channels), "force": (3,)}
+        action = {GRIP: (1,)}
     if config.timeout_behavior == "terminate":
         observation["time_step"] = ()
     return EnvId(

@@ -79,8 +79,8 @@ class Motion:
         return costs
 
 
-def require_move(action: Action, name: str, num_envs: int) -> Float32:
-    """Return a part of an action, shape (num_envs, 3).
+def require_move(action: Action, name: str, num_envs: int, size: int = 3) -> Float32:
+    """Return a part of an action, shape (num_envs, size).
 
     InputError for another shape, and for numbers so large that the cost, a square, is not finite; ValueError
     for NaN and infinite numbers, as in the published environment.
@@ -93,8 +93,8 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
             next="give it for every environment, as `action_space.sample()` does",
         ) from error
     moves = single_precision(value, name)
-    if moves.shape != (num_envs, 3):
-        raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
+    if moves.shape != (num_envs, size):
+        raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, size)}")
     sizes = np.abs(moves)
     if sizes.max() <= _MAX_MOVE:  # false for NaN
         return moves

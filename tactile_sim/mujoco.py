@@ -67,7 +67,7 @@ class GelSensor:
     Raises
     ------
     InputError
-        A name is not in the model, a geom has a type that is not supported, or the integrator is RK4.
+        Arguments have other types, a name is not in the model, or a geom has a type that is not supported.
     MissingExtraError
         MuJoCo is not installed.
     """
@@ -85,6 +85,11 @@ class GelSensor:
         reaction: bool = True,
         relaxation_s: float = RELAXATION_S,
     ) -> None:
+        if not (isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData)):
+            raise InputError(
+                f"model and data are {shown(model)} and {shown(data)}; expected an MjModel and its MjData",
+                next="model = mujoco.MjModel.from_xml_path(...); data = mujoco.MjData(model)",
+            )
         self.model = model
         self.data = data
         self.state = GelState(sensor, gel)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from tactile_envs.config import MOVE, Action, Observation
+from tactile_envs.config import GRIP, Action, GraspConfig, Observation
 from tactile_envs.episodes import touch_maps
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.value_types import AnyArray, JsonDict
+from tactile_toolkit.value_types import AnyArray, Bool, Float32, JsonDict
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ If it has a method ``begin(env, seed)``, this is called before the first touch o
 that remembers what it felt, or draws random numbers.
 """
 
+_SAFE_SHARE = 0.8  # of the greatest shear force
 _CERTAIN = 40.0  # logit of the predicted class: its probability differs from 1 by less than float64 shows
 
 
@@ -74,24 +75,44 @@ class OraclePolicy:
         return {**self._still, "prediction": targets.astype(np.float32)}
 
 
+class GripRule:
+    """Grips more firmly when the shear force reaches 0.8 of what friction bears."""
+
+    part = GRIP
+
+    def __init__(self, config: GraspConfig) -> None:
+        self._share = _SAFE_SHARE * config.friction
+
+    def add(self, observation: Observation) -> None:
+        """Take the forces (n, 3) on the gels that bear more."""
+        self._force_n = observation["force"]
+
+    def next_steps(self) -> Float32:
+        """Return changes of the grip, (n, 1)."""
+        force_n = self._force_n
+        is_near: Bool = np.hypot(force_n[:, 0], force_n[:, 1]) >= self._share * force_n[:, 2]
+        return is_near[:, None].astype(np.float32)
+
+
 class RulePolicy:
     """Follows the objects that it feels; predicts equal classes, or the mean of all objects.
 
     The next touch is where unknown surface is next to an object, or else near and not touched yet. The
-    sensor is not turned.
+    sensor is not turned. In a grasp, see :class:`GripRule`.
     """
 
     def begin(self, env: TactileVectorEnv, seed: int) -> None:
         """Forget what was felt."""
-        self._maps = touch_maps.TouchMaps(env)
+        config = env.config
+        self._rule = GripRule(config) if isinstance(config, GraspConfig) else touch_maps.TouchMaps(env)
         self._still = _still(env)["action"]
         self._prediction = np.zeros(env.prediction_space.shape, np.float32)
 
     def __call__(self, observation: Observation) -> Action:
         """Return the next step."""
-        self._maps.add(observation)
-        move = self._maps.next_steps()
-        return {"action": {**self._still, MOVE: move}, "prediction": self._prediction}
+        self._rule.add(observation)
+        move = self._rule.next_steps()
+        return {"action": {**self._still, self._rule.part: move}, "prediction": self._prediction}
 
 
 POLICIES: Mapping[str, Callable[[], Policy]] = {

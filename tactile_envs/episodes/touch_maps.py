@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from tactile_envs.config import MOVE
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Float32, Float64, Int64
 
@@ -62,6 +63,8 @@ class TouchMaps:
     InputError
         The touches of the environments are recorded, not simulated.
     """
+
+    part = MOVE
 
     def __init__(self, env: TactileVectorEnv, pixel_m: float | None = None) -> None:
         if env.camera is None:

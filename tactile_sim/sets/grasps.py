@@ -30,7 +30,7 @@ RESULTS = ("slip", "hold")
 """Names of the classes of an attempt."""
 CLOSED_S, LIFTED_S, LIFT_M = 0.1, 0.4, 0.01
 """When the grip is closed and the hand begins to rise, when it is up, seconds, and how high, metres."""
-_FLAT, _LEAST_M2 = 0.99, 1e-5  # cosine of the greatest slope of a face to grip, and least area of all
+_FLAT = 0.99  # cosine of the greatest slope of a face to grip
 _TYPES: Mapping[str, pa.DataType] = {
     "extra.finger": pa.list_(pa.int64()),
     "extra.time_s": pa.list_(pa.float32()),
@@ -42,23 +42,34 @@ _TYPES: Mapping[str, pa.DataType] = {
 
 
 def _flat_areas(solid: Mesh) -> Float64:
-    """Return the area of each face on the flat upper side of a solid, square metres; 0 of other faces."""
+    """Return the area of each face on the flat upper side of a solid, square metres; 0 of other faces.
+
+    ItemError if there are none.
+    """
     corners_m = solid.vertices_m[solid.faces]
     normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]) / 2
-    return np.where(normals[:, 2] > _FLAT * np.linalg.norm(normals, axis=1), normals[:, 2], 0.0)
+    areas_m2 = np.where(normals[:, 2] > _FLAT * np.linalg.norm(normals, axis=1), normals[:, 2], 0.0)
+    if not areas_m2.any():
+        raise ItemError(
+            "not-flat", "nothing of its upper side is flat; expected a face to grip, as of a digit"
+        )
+    return areas_m2
 
 
-def drawn_pose(solid: Mesh, rng: np.random.Generator) -> Float64:
+def drawn_pose(solid: Mesh, rng: np.random.Generator, *, hangs: bool = False) -> Float64:
     """Return a pose (4, 4) of a flat solid between two fingers that close along x.
 
-    It stands upright at a random angle; its middle plane is between them, and the point between them is
-    uniform on its flat upper side.
+    It stands upright at a random angle, or ``hangs`` with its middle below them; its middle plane is between
+    them, and the point between them is uniform on its flat upper side. ItemError if it has none.
     """
     areas = np.cumsum(_flat_areas(solid))
     angle_rad, share = (2 * math.pi, areas[-1]) * rng.random(2)
     face = int(np.searchsorted(areas, share))
     point_m = rng.dirichlet(np.ones(3)) @ solid.vertices_m[solid.faces[face]]
     point_m[2] = (solid.vertices_m[:, 2].min() + solid.vertices_m[:, 2].max()) / 2
+    if hangs:
+        arm_m = solid.vertices_m.mean(axis=0) - point_m
+        angle_rad = -math.pi / 2 - math.atan2(arm_m[1], arm_m[0])
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("x", angle_rad).as_matrix() @ UPRIGHT
     pose[:3, 3] = -pose[:3, :3] @ point_m
@@ -107,14 +118,8 @@ class GraspGenerator(TouchGenerator):
         return synthetic_schema(RESULTS, types)
 
     def prepare(self, solid: MeshLike) -> Pressable:
-        """Return a solid in the form that is lifted; InputError if too little of it is flat."""
-        flat_m2 = _flat_areas(Mesh.of(solid)).sum()
-        if flat_m2 < _LEAST_M2:
-            raise ItemError(
-                "not-flat",
-                f"{1e6 * flat_m2:.1f} mm2 of its upper side is flat; expected at least "
-                f"{1e6 * _LEAST_M2:g} to grip",
-            )
+        """Return a solid in the form that is lifted; InputError if there is nothing to grip."""
+        _flat_areas(Mesh.of(solid))
         return super().prepare(solid)
 
     def make_round(self, solid: Pressable, key: tuple[str, int, int], label: int) -> SyntheticRound:

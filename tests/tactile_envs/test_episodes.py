@@ -517,7 +517,7 @@ def test_maps_show_the_touched_surface_where_it_is(tmp_path, env_id, pixel_m):
     policy.begin(env, 4)
     for _ in range(23):
         observation, *_ = env.step(policy(observation))
-    maps = policy._maps
+    maps = policy._rule
     assert maps.pixel_m == pixel_m
     is_shown = maps.freshness > 0
     for row, (x_m, y_m, turn_rad) in enumerate(env._scene.planar_poses):

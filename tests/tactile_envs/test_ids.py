@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import tactile_envs
 from cli.tactile_envs import app
+from tactile_envs.env_specs import GRASP_ID
 from tactile_toolkit.errors import InputError
 from tests.pages import ROOT
 from tests.processes import printed_by
@@ -63,8 +64,11 @@ def test_ids_are_listed_without_any_extra() -> None:
     rows = json.loads(printed_by(ALONE))
     assert rows == listed()
     assert [row["id"] for row in rows] == [each.id for each in tactile_envs.ids()]
-    assert len({row["id"] for row in rows}) == len(rows) == 356
+    assert len({row["id"] for row in rows}) == len(rows) == 357
     for row in rows:
+        if row["id"] == GRASP_ID:
+            assert (row["task"], row["action"], row["episode_length"]) == ("mass", {"grip": [1]}, 32)
+            continue
         words = row["id"].split("-")
         default = "direct" if "RealSnap" in row["id"] else "taxim"
         assert row["sensor"] == next((SENSORS[word] for word in words if word in SENSORS), default)

@@ -327,6 +327,8 @@ def test_a_body_that_is_too_light_for_the_step_is_named():
 
 def test_models_that_do_not_fit_are_refused():
     model, data = simulation(FLAT + ball(0.02, 0.0085), option='integrator="RK4"')
+    with pytest.raises(InputError, match=r"model and data are 3 and .*; expected an MjModel and its MjData"):
+        GelSensor(3, data, "gel")
     with pytest.raises(InputError, match=r"no such site or geom.*'gel'"):
         GelSensor(model, data, "gell")
     with pytest.raises(InputError, match=r"no such site or geom.*'ball'"):
