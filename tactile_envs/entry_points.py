@@ -34,15 +34,8 @@ with errors.needs_extra("making environments", "ap-gym", "envs"):
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.vector import AutoresetMode
 
-    from tactile_envs import (
-        environment,
-        mesh_scene,
-        recorded_scene,
-        recorded_sets,
-        scene,
-        tasks,
-        tilted_scene,
-    )
+    from tactile_envs import environment, recorded_sets, tasks
+    from tactile_envs.scenes import mesh_scene, recorded_scene, scene, tilted_scene
 
 F = TypeVar("F", bound=Callable[..., Any])
 _OF_VECTORS = ("num_envs", "autoreset_mode", "max_episode_steps")
@@ -206,7 +199,7 @@ def _simulated(
 def _scene_of(config: Config) -> type[mesh_scene.MeshScene]:
     """Return the class of the cells of an environment."""
     if isinstance(config, GraspConfig):
-        from tactile_envs import grasp_scene  # MuJoCo is an extra
+        from tactile_envs.scenes import grasp_scene  # MuJoCo is an extra
 
         return grasp_scene.GraspScene
     return tilted_scene.TiltedScene if config.allow_sensor_rotation else mesh_scene.MeshScene
@@ -256,7 +249,7 @@ def _task(
     """Return the task of an environment; InputError if all its answers are equal."""
     pool = cells.pool
     if isinstance(config, GraspConfig):
-        from tactile_envs import grasp_scene  # MuJoCo is an extra
+        from tactile_envs.scenes import grasp_scene  # MuJoCo is an extra
 
         assert isinstance(cells, grasp_scene.GraspScene), "as its settings say"
         return grasp_scene.LiftedMass(cells)

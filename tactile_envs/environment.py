@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from realtouch import Poses
 from tactile_envs import config, drawing, motion, tasks
 from tactile_envs.config import Action, Info, Observation, Options
-from tactile_envs.scene import Camera, SceneObjects, TouchScene
+from tactile_envs.scenes.scene import Camera, SceneObjects, TouchScene
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 

@@ -21,8 +21,8 @@ import realtouch
 from tactile_envs.config import RecordedConfig
 from tactile_envs.entry_points import make_vector
 from tactile_envs.env_specs import REAL_TOUCHES
-from tactile_envs.recorded_scene import window_size
 from tactile_envs.recorded_sets import RecordedSources
+from tactile_envs.scenes.recorded_scene import window_size
 from tactile_toolkit.errors import InputError
 from tests.published_envs import make
 from tests.realtouch import factories

@@ -11,10 +11,11 @@ import numpy as np
 
 from env_assets.mesh_view import MeshRecord, MeshView, PlannedView
 from realtouch import Poses
-from tactile_envs import episode_kernels, mesh_pool, motion, object_sets, scene
+from tactile_envs import episode_kernels, mesh_pool, motion, object_sets
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.motion import Motion, Rows
+from tactile_envs.scenes import scene
 from tactile_envs.touch_kernels import Cells, SensorReadings
 from tactile_sim import Sensor
 from tactile_sim.elastic.contact import GelLoad, GelSurface

@@ -13,8 +13,9 @@ from PIL import Image
 
 import realtouch
 import tactile_sim
-from tactile_envs import drawing, motion, recorded_sets, scene
+from tactile_envs import drawing, motion, recorded_sets
 from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
+from tactile_envs.scenes import scene
 from tactile_sim.optics import rendering
 from tactile_sim.sets.touched_solids import content_fingerprint
 from tactile_toolkit import cache, errors, kind, run

@@ -14,9 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from realtouch import Poses
-from tactile_envs import mesh_scene, motion, object_sets, scene, tasks
+from tactile_envs import motion, object_sets, tasks
 from tactile_envs.config import GRIP, Action, GraspConfig
 from tactile_envs.drawing import EnvDrawing
+from tactile_envs.scenes import mesh_scene, scene
 from tactile_envs.touch_kernels import SensorReadings
 from tactile_sim.elastic.contact import Gel, GelSurface
 from tactile_sim.hand import STEP_S, Hand
@@ -55,7 +56,7 @@ class Lift(NamedTuple):
 class GraspScene(mesh_scene.MeshScene):
     """Digits that hang between two gels, below the point where these have gripped them.
 
-    Parameters are those of :class:`~tactile_envs.mesh_scene.MeshScene`.
+    Parameters are those of :class:`~tactile_envs.scenes.mesh_scene.MeshScene`.
     """
 
     config: GraspConfig

@@ -13,8 +13,9 @@ import numpy as np
 import trimesh
 
 from env_assets.mesh_view import LazyMesh
-from tactile_envs import config, episode_kernels, mesh_pool, mesh_scene, motion, object_sets, scene
+from tactile_envs import config, episode_kernels, mesh_pool, motion, object_sets
 from tactile_envs.config import Config
+from tactile_envs.scenes import mesh_scene, scene
 from tactile_envs.touch_kernels import (
     EDGE_PX,
     PADDING,
@@ -45,7 +46,7 @@ class TiltedScene(mesh_scene.MeshScene):
     """Objects in cells, touched by sensors that actions turn as well.
 
     A sensor comes down along its own axis. It sees the objects, and the plate up to its edges. Parameters are
-    those of :class:`tactile_envs.mesh_scene.MeshScene`.
+    those of :class:`tactile_envs.scenes.mesh_scene.MeshScene`.
     """
 
     def __init__(
