@@ -14,7 +14,7 @@ COMMANDS = {
     "mnist3d": "generate validate solidify",
     "starstruck": "generate validate",
     "realtouch": "load import check resize stills",
-    "tactile-sim": "generate render calibrate pairs train check depth",
+    "tactile-sim": "generate grasp render calibrate pairs train check depth",
     "env-assets": "wrench",
     "tactile-envs": "list record replay evaluate compare",
 }

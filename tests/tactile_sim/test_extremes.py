@@ -267,5 +267,6 @@ def test_extremes_are_refused_or_give_finite_numbers(name, parameter):
 
 def test_all_public_functions_are_tried():
     tried = {name.split(":")[0].split(".")[0] for name in CALLS}
-    left = {name for name in dir(tactile_sim) if callable(getattr(tactile_sim, name))} - tried
-    assert left == NOT_TRIED
+    assert {*dir(tactile_sim)} >= NOT_TRIED
+    # One of those needs an extra.
+    assert {name for name in {*dir(tactile_sim)} - NOT_TRIED if callable(getattr(tactile_sim, name))} <= tried

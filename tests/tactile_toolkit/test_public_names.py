@@ -17,7 +17,7 @@ PACKAGES = sorted(
     for pattern in ("*/__init__.pyi", "tactile_toolkit/*/__init__.pyi")
     for stub in ROOT.glob(pattern)
 )
-NEEDS = {"RayRunner"}
+NEEDS = {"RayRunner", "GraspGenerator"}
 """Names that need a package of an extra."""
 TORCH = ("MeshBatch", "MeshItem", "SolidTensors", "TrainingBatches")
 
