@@ -36,22 +36,6 @@ from tests.tactile_sim import test_loop, test_mujoco_gels as scenes
 STEPS, REPEATS = 100, 7
 
 
-def heights_of_bounces(dt_s: float, relaxation_s: float) -> list[float]:
-    """Return the heights to which a ball of 10 g rises that fell 5 mm, relative to the fall."""
-    model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.013), dt_s)
-    sensor = tactile_sim.center_view(64, 64)
-    gel = GelSensor(model, data, "gel", sensor, relaxation_s=relaxation_s)
-    mujoco.set_mjcb_control(GelCallback(gel))
-    heights_m = [0.0]
-    tops = []
-    for _ in range(round(0.4 / dt_s)):
-        mujoco.mj_step(model, data)
-        heights_m.append(data.qpos[2] - 0.008)
-        if len(heights_m) > 3 and heights_m[-3] < heights_m[-2] > heights_m[-1] and heights_m[-2] > 0:
-            tops.append(heights_m[-2] / 0.005)
-    return tops
-
-
 def force_at_rest(dt_s: float) -> tuple[float, float]:
     """Return error and swing of the force of a ball of 10 g at rest, relative to its weight."""
     model, data = scenes.simulation(scenes.FLAT + scenes.ball(0.01, 0.0082), dt_s)
@@ -147,7 +131,8 @@ def main() -> None:
         error, swing = force_at_rest(dt_s)
         tell(f"weight_{number}", words.format("at rest: mean force off its weight"), 1e6 * error, "ppm")
         tell(f"swing_{number}", words.format("at rest: greatest swing of the force"), 1e6 * swing, "ppm")
-        tops = np.array(heights_of_bounces(dt_s, 0.0)[:5])
+        heights_m = scenes.bounces_m(dt_s, tactile_sim.center_view(64, 64))
+        tops = scenes.tops_m(heights_m)[:5] / 0.005
         words = words.format("without relaxation: error of the height of five bounces")
         tell(f"bounce_{number}", words, 100 * float(abs(tops - 1).max()), "%")
     history, none = mindlin_errors()

@@ -163,8 +163,9 @@ class HalfSpace:
         return 3 * self.friction * self.normal_n * 1.5 / (16 * contact_m * self.gel.shear_modulus_pa)
 
     def load_n(self, shift_m: float) -> float:
-        """Tangential force of a first load."""
-        return self.friction * self.normal_n * (1 - (1 - min(shift_m / self.slip_m, 1.0)) ** 1.5)
+        """Tangential force of a first load, to either side."""
+        share = min(abs(shift_m) / self.slip_m, 1.0)
+        return math.copysign(self.friction * self.normal_n * (1 - (1 - share) ** 1.5), shift_m)
 
 
 def load_cycle() -> Iterator[tuple[float, float, float]]:
@@ -181,8 +182,7 @@ def load_cycle() -> Iterator[tuple[float, float, float]]:
     scale = 1
     for start_m, end_m in ((0.0, 0.7), (0.7, -0.2), (-0.2, 0.7)):
         for shift_m in np.linspace(start_m, end_m, 10) * hertz.slip_m:
-            way_m = shift_m - turn_m
-            theory_n = turn_n + math.copysign(scale * hertz.load_n(abs(way_m) / scale), way_m)
+            theory_n = turn_n + scale * hertz.load_n((shift_m - turn_m) / scale)
             wrench = state.press([ball], over(hertz.depth_m, hertz.radius_m, shift_m), FACING_UP)[0]
             yield shift_m, wrench[0], theory_n
         turn_m, turn_n, scale = shift_m, theory_n, 2
