@@ -310,12 +310,13 @@ def surface_of(fields: Float64, body_m: Float64, block_px: int) -> tuple[Float64
     """Return how far the surface is displaced along z, and where it is in contact, (H, W).
 
     It is the body (H, W) in the contact, and lies outside of it elsewhere. ``fields`` (2, R, C) are the
-    displacement along z and 1 in the contact, of blocks of pixels.
+    displacement along z and 1 in the contact, of blocks of pixels. The body is -inf beside its edge, where a
+    block may still be in contact.
     """
     from tactile_sim.elastic import steps
 
     inward_m, is_contact = fields if block_px == 1 else steps.bring_up(fields, block_px)
-    is_body: Bool = (is_contact > _HALF) | (body_m > inward_m)
+    is_body: Bool = ((is_contact > _HALF) & (body_m > -np.inf)) | (body_m > inward_m)
     surface_m: Float64 = np.where(is_body, body_m, inward_m)
     return surface_m, is_body
 

@@ -130,7 +130,7 @@ def test_the_command_stores_one_finger_and_leaves_out_what_is_not_flat(plates, t
     words = "--split test --attempts 1 --fingers 1 --mass-g 20 --friction 0.5 --markers 5x4 -w 1"
     result = CliRunner().invoke(app, ["grasp", str(plates), *words.split(), "--out", str(out)])
     assert result.exit_code == 0, result.output
-    assert "roof.stl: nothing of its upper side is flat; expected a face to grip" in result.output
+    assert "(test/roof.stl): nothing of its upper side is flat; expected a face to grip" in result.output
     (attempt,) = realtouch.load(out, split="test")
     assert attempt.touch_count == len(MOMENTS_S)
     assert attempt.extra["marker_flow_px"].shape == (len(MOMENTS_S), 40)

@@ -227,6 +227,18 @@ def test_a_body_that_is_new_has_not_moved():
     np.testing.assert_allclose(wrench, other_state.press([ball], over(0.001, 0.008, 0.003), FACING_UP))
 
 
+@pytest.mark.parametrize("turn_rad", [0.0, 0.1, 0.5])
+def test_the_gel_is_somewhere_beside_the_edge_of_a_box(turn_rad):
+    """A block of pixels that is in contact may lie partly beside the body, which has no height there."""
+    state = GelState(center_view(64, 64))
+    for pressed_m in (8e-5, 5e-4):
+        pose_of_box = turned(0.0, 0.0, turn_rad, position_m=(0.0, 0.0, 0.003 - pressed_m))
+        state.press([Shape("box", (0.003, 0.003, 0.003))], pose_of_box, FACING_UP)
+        assert np.isfinite(state.contact.displacement_m).all()
+        assert state.depth_m.min() == pytest.approx(state.sensor.gel_m - pressed_m)
+        assert state.depth_m.max() < state.sensor.gel_m + pressed_m
+
+
 def test_what_the_theory_does_not_carry_is_named():
     ball = Shape("sphere", (0.008,))
     state = GelState(center_view(32, 32))
