@@ -98,7 +98,6 @@ SHOWN = (
     ("pipeline.plain_mean", "a digit drawn, made, checked and written"),
     ("pipeline.load", "a mesh at random, cached"),
     ("real_touches.random_touch_64x64", "a real touch at random, 64x64, cached"),
-    ("touches.single_64", "a simulated touch, depth, 64x64"),
     ("native_environments.depth_16", "a step of one of 16 environments, depth, 64x64"),
 )
 """The table of README.md: figures by their names, and what they are of."""
@@ -323,8 +322,10 @@ def _missed(results: Mapping[str, Any]) -> str:
     for name, result in results.items():
         for figure in filter(lambda figure: not is_met(figure), result["figures"]):
             is_ratio = "published" in figure or "plain" in figure
-            value = in_words(aimed_at(figure), "" if is_ratio else figure["unit"])
-            missed.append(f"`{name}.{figure['name']}` {value} ({figure['target']})")
+            unit = "" if is_ratio else figure["unit"]
+            words, _, bound = figure["target"].rpartition(" ")
+            value = in_words(aimed_at(figure), unit)
+            missed.append(f"`{name}.{figure['name']}` {value} ({words} {in_words(float(bound), unit)})")
     return f"Targets that are missed: {'; '.join(missed) or 'none'}."
 
 
