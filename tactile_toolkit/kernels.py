@@ -185,21 +185,20 @@ _register("numba:compile", _Notice())
 def _copy_shared(kernel: Any) -> None:
     """Copy the code of a kernel that others have compiled to the user's folder, if that has none.
 
-    It may lie beside the source, or in the folder that ``NUMBA_CACHE_DIR`` names. Names of files hold a
+    It lies in the folder that ``NUMBA_CACHE_DIR`` names, or else beside the source. Names of files hold a
     digest of the source, and numba compares its version and the processor.
     """
     source = kernel.py_func.__code__.co_filename
-    folders = [Path(source).parent / "__pycache__"]
+    folder = Path(source).parent / "__pycache__"
     settings: Any = numba.config
     if settings.CACHE_DIR:
         locator: Any = caching.UserProvidedCacheLocator
-        folders.insert(0, Path(settings.CACHE_DIR) / locator.get_suitable_cache_subpath(source))
+        folder = Path(settings.CACHE_DIR) / locator.get_suitable_cache_subpath(source)
     index = Path(kernel._cache._cache_file._index_path)
-    for folder in folders:
-        if not index.exists() and (folder / index.name).exists():
-            for file in sorted(folder.glob(f"{index.stem}.*.nbc")):
-                shutil.copyfile(file, index.parent / file.name)
-            shutil.copyfile(folder / index.name, index)
+    if not index.exists() and (folder / index.name).exists():
+        for file in sorted(folder.glob(f"{index.stem}.*.nbc")):
+            shutil.copyfile(file, index.parent / file.name)
+        shutil.copyfile(folder / index.name, index)
 
 
 class _AllFiles:
