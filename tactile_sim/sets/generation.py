@@ -198,7 +198,7 @@ class TouchGenerator(generation.RowGenerator):
         ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
         """
         round_press.optics_of(spec)  # missing packages are reported before anything is written
-        name, splits, unfinished = touched_solids.solids_of(source, unit, opened)
+        name, splits, unfinished = touched_solids.solids_of(source, unit, opened, cls.operation)
         if spec.plan.touch_table is not None:
             touched_solids.require_known_objects(name, splits, spec.plan.touch_table)
         rows: dict[str, range | Int64] = {

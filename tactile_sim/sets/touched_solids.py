@@ -192,9 +192,12 @@ def _require_within_cell(solid: mesh.Mesh) -> None:
 
 
 def solids_of(
-    source: places.Name | places.Place | Meshes, unit: str | None, open_place: Opener
+    source: places.Name | places.Place | Meshes, unit: str | None, open_place: Opener, operation: str
 ) -> tuple[str, Mapping[str, Solids], str]:
-    """Return name and splits of a data set, mesh files or meshes, and a note if it is unfinished."""
+    """Return name and splits of a data set, mesh files or meshes, and a note if it is unfinished.
+
+    ``operation`` is the command that touches them, such as ``"generate"``, for messages.
+    """
     if isinstance(source, places.Place):
         dataset = source
     else:
@@ -204,7 +207,7 @@ def solids_of(
         assert not isinstance(source, Mapping), "meshes in memory are given solids"
         dataset = open_place(source)
     mesh.refuse_unit(unit, dataset.name)
-    dataset.require_meshes("tactile-sim generate").require_complete()
+    dataset.require_meshes(f"tactile-sim {operation}").require_complete()
     return dataset.name, {split: open_split(dataset, split) for split in dataset.splits}, dataset.unfinished
 
 

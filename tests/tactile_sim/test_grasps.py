@@ -138,6 +138,11 @@ def test_the_command_stores_one_finger_and_leaves_out_what_is_not_flat(plates, t
     assert "the left gel at the times" in (out / "README.md").read_text()
 
 
+def test_touches_cannot_be_lifted(made):
+    with pytest.raises(InputError, match="holds synthetic touches; `tactile-sim grasp` is for meshes"):
+        tactile_sim.GraspGenerator.of(str(made), SPEC)
+
+
 def test_values_out_of_range_are_refused():
     for name, value, message in (
         ("mass_kg", (0.1, 0.01), "of the attempts is 100:10 g; expected a number above 0, to 1000 g"),
