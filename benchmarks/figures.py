@@ -2,8 +2,9 @@
 
 A benchmark calls :func:`tell` for each figure. ``benchmarks/run`` runs the benchmarks, keeps what they report
 in ``results.json`` and writes what stands between ``<!-- figures: NAME -->`` and ``<!-- end -->`` in the
-pages: a table, or a figure within a sentence, such as ``scale.nodes``. ``benchmarks/run --write`` prints which
-code has changed since it was measured; no page says so, since each change of the code would make it untrue.
+pages: a table, or a figure within a sentence, such as ``scale.nodes``. ``benchmarks/run --write`` prints
+which code has changed since it was measured; no page says so, since each change of the code would make it
+untrue.
 """
 
 from __future__ import annotations
@@ -349,7 +350,9 @@ def main() -> None:
     """Run benchmarks one after another, keep their figures and write the tables."""
     parser = argparse.ArgumentParser(prog="benchmarks/run", description=main.__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"all by default: {', '.join(BENCHMARKS)}")
-    parser.add_argument("--write", action="store_true", help="only write the tables again, and print what is old")
+    parser.add_argument(
+        "--write", action="store_true", help="only write the tables again, and print what is old"
+    )
     options = parser.parse_args()
     unknown = set(options.names) - set(BENCHMARKS)
     if unknown:

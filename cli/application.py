@@ -16,7 +16,7 @@ from typer.core import TyperCommand
 
 from cli.options import DEBUG_VARIABLE, GENERAL, Debug, Version, option_label, with_options
 from cli.output import Output
-from tactile_toolkit import store, wording
+from tactile_toolkit import wording
 from tactile_toolkit.errors import InputError, ToolkitError, require_public
 from tactile_toolkit.value_types import JsonValue
 
@@ -107,8 +107,7 @@ class _Command(TyperCommand):
             if isinstance(error, OSError):
                 if error.filename is None:
                     raise
-                reason = store.resource_shortage(error) or f"{error.strerror}; next: give another path"
-                error = InputError(f"{str(error.filename)!r}: {reason}")
+                error = InputError.of_system(error)
             message = error.naming(self._option(error.field))
             sys.stderr.write(f"error: {wording.printable(message)}\n")
             raise typer.Exit(error.exit_code) from error

@@ -12,7 +12,7 @@ import typer
 from cli import application, options, output, runs
 from tactile_toolkit import catalog, checked_fields, places, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import SELECT, DatasetKind, lazy
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.value_types import JsonDict, JsonValue
 from tactile_toolkit.wording import bytes_text, with_count
 
@@ -98,8 +98,7 @@ def info(
             if chosen.has_touches
             else manifest.spec.get("operation")
         )
-    is_selected = chosen.has_touches and operation == SELECT
-    is_own = manifest is not None and not (manifest.is_for_others or (manifest.is_copy and not is_selected))
+    is_own = manifest is not None and chosen.is_told_by(manifest)
     if chosen.has_touches and chosen.facts is None and (manifest is None or (manifest.complete and is_own)):
         _print_touches(sink, place, split)
     elif manifest is None:

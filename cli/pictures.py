@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 from cli import options, output
+from mnist3d.kind import KIND as DIGITS
 from tactile_toolkit import catalog, gallery as galleries, mesh, pictures, wording
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind, kinds, lazy
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.wording import with_count
 
 _SHEETS = "kinds=|sheet|all"
@@ -86,8 +87,7 @@ def preview(
     if _is_picture_or_mesh(name):
         filters = {option: drawing.get(option) for option in ("per_class", "limit")}
         options.refuse({**asdict(source_options), **filters}, "a single file")
-        kind = next(kind for kind in kinds() if kind.name == "mnist3d")
-        plan = kind.plan_previews(name, _preview_spec(kind, drawing))
+        plan = DIGITS.plan_previews(name, _preview_spec(DIGITS, drawing))
     else:
         place, kind = source_options.open_kind(sink, name)
         plan = kind.plan_previews(place, _preview_spec(kind, drawing))

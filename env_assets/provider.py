@@ -17,8 +17,8 @@ import realtouch
 import starstruck_gen
 from env_assets import mesh_view
 from env_assets.wrench.dataset import WrenchDataset
-from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, run, store
-from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit import checked_fields, errors, mesh, read, run, store
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import SolidDataset
 from tactile_toolkit.places import open_place
 from tactile_toolkit.wording import did_you_mean
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from tactile_toolkit.generation import DefaultSet
 
 
-KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in kinds() if kind.default_set is not None}
+KINDS: dict[str, DatasetKind] = {
+    kind.name: kind for kind in DatasetKind.installed() if kind.default_set is not None
+}
 """Assets that the toolkit can make without any input, by name."""
 _ABC = "TimSchneider42/tactile-mnist-abc-dataset-small"
 THIRD_PARTY_ASSETS: dict[str, str] = {
@@ -71,7 +73,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> 
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
     mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
-    kind = places.kind_of_rows(table.schema)
+    kind = DatasetKind.of_columns(read.column_names(table.schema), read.class_names(table.schema, ()))
     expected = KINDS.get(needed or name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
     accepts_unknown = needed or expected is None or not expected.published
@@ -143,7 +145,7 @@ class AssetProvider:
         self._root = store.expanded(os.fspath(root)).absolute()
         self._sources = _checked_sources(sources or {})
         self._revision = revision
-        self._commits: dict[str, str] = {}
+        self._commits: dict[str, str | None] = {}
         self._generate = generate
         self._seed = seed
         self._per_class = per_class
@@ -228,7 +230,7 @@ class AssetProvider:
         try:
             with store.locked(self._lock_of(name), patience_s=0.0):
                 return False
-        except errors.BusyError:
+        except errors.InputError:  # another process holds it
             return True
 
     def _default_set(self, name: str) -> DefaultSet:
@@ -293,18 +295,14 @@ class AssetProvider:
         return name
 
     def _commit_of(self, source: str) -> str | None:
-        """Return the commit of a repository, looked up on first use; None for a folder or a file."""
-        if source.startswith("/") or store.path_exists(Path(source)):
+        """Return the commit of a repository, looked up on first use; None for a path or a stated revision."""
+        is_path = source.startswith(("/", ".", "~")) or store.path_exists(Path(source))
+        if is_path or "/" not in source or "@" in source:  # short names are those of one repository
             return None
-        named = hub.hub_name(source)
-        if named is None or named.revision is not None:
-            return None
-        commit = self._commits.get(named.repo_id)
-        if commit is None:
-            commit = hub.open_repository(named.repo_id, self._revision).commit
+        if source not in self._commits:
             # If two threads ask at once, the first answer wins.
-            commit = self._commits.setdefault(named.repo_id, commit)
-        return commit
+            self._commits.setdefault(source, open_place(source, revision=self._revision).revision)
+        return self._commits[source]
 
     def _shards(self, name: str, split: str) -> tuple[read.Shard, ...]:
         source = self._source_of(name)
@@ -334,12 +332,12 @@ class AssetProvider:
         nouns = KINDS[name].nouns
         what = f"making {nouns} (split {split}) in {source}"
         with run.shown_progress(what, nouns, _QUIET_S) as update:
-
-            def on_progress(progress: store.Progress) -> None:
-                update(progress.done, progress.total)
-
             try:
-                default_set.make(source, split, workers=self._workers, on_progress=on_progress)
+                default_set.make(
+                    *(source, split),
+                    workers=self._workers,
+                    on_progress=lambda progress: update(progress.done, progress.total),
+                )
             except KeyboardInterrupt:
                 # Without the frames of workers and locks.
                 kept = f"interrupted; what is finished stays in {source!r}, and the same call continues"

@@ -7,7 +7,6 @@ of the digits takes 0.8 GB for upright sensors, which the processes of a machine
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import logging
@@ -23,7 +22,7 @@ import xxhash
 
 from env_assets import mesh_view
 from tactile_toolkit import cache, mesh, read, run, store
-from tactile_toolkit.errors import BusyError, IntegrityError
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.value_types import AnyArray, Float32, Float64, Int32, Int64
 
 CELL_M = 0.0012
@@ -95,14 +94,11 @@ class MeshPool:
         if name is None:
             return cls.packed(records, tilt_rad)
         path = _POOLS.path(name)
-        with contextlib.ExitStack() as stack:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                # Another process may have packed them meanwhile.
-                stack.enter_context(store.locked(path.with_suffix(".lock"), is_patient=True))
-            except (OSError, BusyError) as error:  # not writable, or locked for too long
-                _LOG.warning("meshes are sorted again each time: %s", error)
+        with cache.held(name) as problem:
+            if problem is not None:  # not writable, or locked for too long
+                _LOG.warning("meshes are sorted again each time: %s", problem)
                 return cls.packed(records, tilt_rad)
+            # Another process may have packed them meanwhile.
             arrays = _mapped(path)
             if arrays is None:
                 columns = _joined(_chunks_of(records, tilt_rad))
@@ -389,7 +385,6 @@ def _mapped(path: Path) -> Parts | None:
     except FileNotFoundError:
         return None
     except (ValueError, OSError, IntegrityError) as error:  # the last for a pipe
-        if store.resource_shortage(error) is None:
-            _POOLS.drop(path)
+        _POOLS.drop_unreadable(path, error)
         return None
     return arrays

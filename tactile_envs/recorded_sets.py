@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import logging
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -21,7 +20,7 @@ from env_assets.provider import KINDS, meshes_at
 from tactile_envs import env_specs, mesh_pool, object_sets
 from tactile_envs.config import RecordedConfig
 from tactile_toolkit import cache, kind, run, store
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError, ToolkitError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tactile_toolkit.value_types import Float32, Float64, Int64
 
@@ -249,7 +248,10 @@ def base_depths_m(source: Source, count: int, size_px: tuple[int, int]) -> Float
         )
     # A smaller number gives a subset of a larger one.
     chosen = np.random.default_rng(_SEED).permutation(empty)[:count].tolist()
-    with _one_process():
+    # Others read the estimates in the cache.
+    with cache.held("base-depth") as problem:
+        if problem is not None:
+            _LOG.warning("other processes are not waited for: %s", problem)
         return _estimates_m(touches, chosen, size_px)
 
 
@@ -272,19 +274,6 @@ def _opened(source: Source) -> realtouch.TouchSingleDataset:
             next=f"give another data set, or {_LEAVE_OUT}",
         )
     return opened
-
-
-@contextlib.contextmanager
-def _one_process() -> Iterator[None]:
-    """Let one process at a time make estimates, if the cache folder is writable; others read them there."""
-    path = _ESTIMATES.path("base-depth.lock")
-    with contextlib.ExitStack() as stack:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(store.locked(path, is_patient=True))
-        except (OSError, BusyError) as error:
-            _LOG.warning("other processes are not waited for: %s", error)
-        yield
 
 
 def _estimates_m(

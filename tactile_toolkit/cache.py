@@ -18,7 +18,7 @@ import time
 import warnings
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -103,6 +103,26 @@ def _temporary_cache() -> Path:
     return path
 
 
+@contextlib.contextmanager
+def held(name: str, patience_s: float | None = None) -> Iterator[Exception | None]:
+    """Let one process at a time do some work whose result the others find in the cache.
+
+    ``name`` is that of a file in the folder of locks. Yields None, or why the lock is not held: then several
+    processes may do the same work. That is a BusyError after ``patience_s``; by default, it waits as long as
+    the holder is at work.
+    """
+    reason = None
+    with contextlib.ExitStack() as stack:
+        try:
+            path = cache_folder() / LOCKS / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            is_patient = patience_s is None
+            stack.enter_context(store.locked(path, patience_s=patience_s, is_patient=is_patient))
+        except (OSError, errors.ToolkitError) as error:
+            reason = error
+        yield reason
+
+
 @dataclass
 class DiskCache:
     """Files in one folder, shared by threads and processes; each appears whole or not at all.
@@ -133,10 +153,15 @@ class DiskCache:
             os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
 
     def drop(self, path: Path) -> None:
-        """Remove a file, such as a damaged one, if possible."""
+        """Remove a file, if possible."""
         with contextlib.suppress(OSError):
             if not path.parent.is_symlink():
                 path.unlink(missing_ok=True)
+
+    def drop_unreadable(self, path: Path, error: Exception) -> None:
+        """Remove a file that could not be read, unless this process only lacked memory or file handles."""
+        if errors.resource_shortage(error) is None:
+            self.drop(path)
 
     @property
     def is_given_up(self) -> bool:
@@ -160,7 +185,7 @@ class DiskCache:
                 self._make_room(path.parent, size_bytes)
             write_file(path, fill, durable=self.durable)
         except OSError as error:
-            if store.resource_shortage(error) is not None:
+            if errors.resource_shortage(error) is not None:
                 return False
             _unwritable.add(path.parent)
             if self.warning:

@@ -22,6 +22,7 @@ Messages, which may quote clients and servers, are searched for anything that lo
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Iterator
@@ -51,6 +52,7 @@ _HEADER = re.compile(
     r"(?i)\b(authorization['\"]?\s*[:=]\s*['\"]?(?:(?:basic|bearer|digest|token)\s+)?|bearer\s+)[^\s'\";,]+"
 )
 _SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
+_RESOURCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 _SHORTEST = 8  # shorter secrets are those of tests, such as the word `test`, which is also a split
 
 
@@ -97,6 +99,12 @@ class InputError(ToolkitError):
 
     exit_code = 2
 
+    @classmethod
+    def of_system(cls, error: OSError) -> InputError:
+        """Return the error for a file that the system refused to open, read or write."""
+        reason = resource_shortage(error) or f"{error.strerror}; next: give another path"
+        return cls(f"{str(error.filename)!r}: {reason}")
+
 
 def require_public(address: str) -> None:
     """Raise InputError for an address that may hold a user, key or signature, without repeating it."""
@@ -106,6 +114,18 @@ def require_public(address: str) -> None:
             f"the address {shown!r} may hold a user, a key or a signature; expected none of @ ? # ; in it",
             next="give credentials as the store's own tools take them, such as AWS_PROFILE",
         )
+
+
+def resource_shortage(error: Exception) -> str | None:
+    """Return a message for an error of scarce resources (memory, file handles); None for other errors."""
+    if isinstance(error, MemoryError):
+        error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+    if not isinstance(error, OSError) or error.errno not in _RESOURCE_ERRNOS:
+        return None
+    return (
+        f"{error.strerror}; next: end programs that are not needed, raise the limit of open files "
+        "(ulimit -n) or use fewer --workers, and run it again"
+    )
 
 
 class SpecMismatchError(InputError):

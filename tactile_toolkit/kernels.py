@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -27,8 +27,7 @@ from numba import extending
 from numba.core import caching, event, sigutils
 from numba.core.compiler_lock import global_compiler_lock
 
-from tactile_toolkit import errors, run, store
-from tactile_toolkit.cache import LOCKS, cache_folder
+from tactile_toolkit import cache, errors, run, store
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -92,7 +91,7 @@ def part(function: F) -> F:
     return register(**_SETTINGS, no_cpython_wrapper=True)(function)  # type: ignore[no-any-return]
 
 
-@cache
+@lru_cache
 def prepare(*modules: str) -> None:
     """Compile or load the kernels of modules with types that another process is not compiling just now.
 
@@ -120,18 +119,10 @@ class _CompileOnce:
         known = self._kernel.overloads.get(types)
         if known is not None:
             return known.entry_point
-        with global_compiler_lock, contextlib.ExitStack() as stack:
-            try:
-                folder = cache_folder() / LOCKS
-                folder.mkdir(parents=True, exist_ok=True)
-                stack.enter_context(store.locked(folder / self._lock, patience_s=patience_s))
-            except errors.BusyError:
-                if patience_s is not None:
-                    raise
-            except (OSError, errors.ToolkitError):  # no lock: two processes may do the same work
-                pass
-            # The collector takes an eighth of the time, and finds nothing.
-            stack.enter_context(store.without_collecting())
+        # The collector takes an eighth of the time, and finds nothing.
+        with global_compiler_lock, cache.held(self._lock, patience_s) as busy, store.without_collecting():
+            if isinstance(busy, errors.BusyError) and patience_s is not None:
+                raise busy
             with contextlib.suppress(OSError):  # it is compiled again
                 _copy_shared(self._kernel)
             return self._compile_or_load(types)
@@ -165,13 +156,9 @@ class _Notice(event.Listener):
             self._timer = None
 
     def _tell(self) -> None:
-        try:
-            # Held until the process ends: other workers, which compile at the same time, are silent.
-            self._lock.enter_context(store.locked(cache_folder() / LOCKS / "notice", patience_s=0.0))
-        except errors.BusyError:
+        # Held until the process ends: other workers, which compile at the same time, are silent.
+        if isinstance(self._lock.enter_context(cache.held("notice", 0.0)), errors.BusyError):
             return
-        except (OSError, errors.ToolkitError):
-            pass
         # Over the line of a progress bar, which is drawn again.
         begin, end = ("\r", "\x1b[K\n") if sys.stderr.isatty() else ("", "\n")
         sys.stderr.write(f"{begin}note: functions are compiled; only the first use takes so long{end}")

@@ -7,7 +7,7 @@ The ``kind.py`` of the package of each kind defines a ``KIND``. The entry points
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
@@ -114,6 +114,12 @@ class PublishedSet:
     citation: str
     licence: str | None = None
     aliases: tuple[str, ...] = ()
+
+    @staticmethod
+    def named(name: str) -> PublishedSet | None:
+        """Return a published set by its short name or its repository; None for any other name."""
+        entries = (entry for kind in DatasetKind.installed() for entry in kind.published)
+        return next((entry for entry in entries if name in (entry.name, entry.repo_id, *entry.aliases)), None)
 
 
 def tactile_mnist_set(
@@ -256,6 +262,42 @@ class DatasetKind:
         if self.plan_previews is _not_offered:
             object.__setattr__(self, "plan_previews", partial(_SHEETS, self))
 
+    @classmethod
+    @cache
+    def installed(cls) -> tuple[DatasetKind, ...]:
+        """Return all kinds, sorted by name; the first call takes 30 ms."""
+        # Imported here: every command line starts with this file, and few need it.
+        from importlib.metadata import entry_points
+
+        found = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
+        return tuple(sorted(found, key=lambda kind: kind.name))
+
+    @classmethod
+    def named(cls, name: str | None) -> DatasetKind | None:
+        """Return the kind of a name in manifests; None if it is not installed."""
+        return next((kind for kind in cls.installed() if kind.name == name), None)
+
+    @classmethod
+    def of_published(cls, name: str) -> DatasetKind | None:
+        """Return the kind of a published set by its short name or its repository; None for others."""
+        known = PublishedSet.named(name)
+        return next((kind for kind in cls.installed() if known in kind.published), None)
+
+    @classmethod
+    def of_columns(cls, names: Collection[str], class_names: tuple[str, ...]) -> DatasetKind | None:
+        """Return the kind of rows by a column that only it has, or of meshes by the published classes.
+
+        ``names`` are dotted names of columns, ``class_names`` those that are stored with the rows.
+        """
+        own = {name.partition(".")[0] for name in names}
+        for kind in cls.installed():
+            if own.intersection(kind.columns):
+                return kind
+        if cls.needs[0] not in names:
+            return None
+        known = (kind for kind in cls.installed() if kind.published and kind.class_names)
+        return next((kind for kind in known if kind.class_names == class_names), None)
+
     def load(self, name: object, split: str) -> Any:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
@@ -270,6 +312,12 @@ class DatasetKind:
     def has_touches(self) -> bool:
         """Whether rows are rounds of touches; other rows are meshes."""
         return "sensor_image" in self.needs
+
+    def is_told_by(self, manifest: Specified) -> bool:
+        """Return whether the specification of a manifest tells how its rows were made, or touches chosen."""
+        operation = manifest.spec.get("operation")
+        is_selected = self.has_touches and operation == SELECT
+        return not is_for_others(manifest) and (is_selected or not is_copy(manifest))
 
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
@@ -292,16 +340,6 @@ class DatasetKind:
         further = f", revision={_quoted(revision)}" if revision else ""
         call = f"{function}({_quoted(name)}, split={_quoted(split)}{further})"
         return f"import {function.partition('.')[0]}", call
-
-
-@cache
-def kinds() -> tuple[DatasetKind, ...]:
-    """Return all installed kinds, sorted by name; the first call takes 30 ms."""
-    # Imported here: every command line starts with this file, and few need it.
-    from importlib.metadata import entry_points
-
-    installed = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
-    return tuple(sorted(installed, key=lambda kind: kind.name))
 
 
 def _quoted(text: str) -> str:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from tactile_sim.press.sensors import SENSORS, SensorModel
 from tactile_sim.twin.twin_files import ARRAYS_FILE, SENSOR_FILE, open_sensor_output
-from tactile_toolkit import __version__, cards, exchange, hub, places, store
+from tactile_toolkit import __version__, cards, exchange, hub, store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import markdown_text
 
 _FILES = (ARRAYS_FILE, SENSOR_FILE)
@@ -57,9 +58,11 @@ def prepare_upload(
     files = {name: root.read_bytes(name) for name in _FILES}
     rows = "\n".join(f"| {name} | {markdown_text(value)} |" for name, value in sensor_facts(model).items())
     values = {"name": markdown_text(model.name), "version": __version__, "repository": repository}
-    files[store.CARD_FILE] = cards.render_card(_CARD_TEMPLATE, {**values, "rows": rows}).encode()
+    card = cards.Card.filled(_CARD_TEMPLATE, {**values, "rows": rows})
     what = f"twin of a sensor made by tactile-toolkit {__version__}"
-    return exchange.Upload.of_files(files, repository, options, what=what, dry_run=dry_run, on_wait=on_wait)
+    return exchange.Upload.of_files(
+        files, card, repository, options, what=what, dry_run=dry_run, on_wait=on_wait
+    )
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,9 @@ class SensorDownload:
 
         Raises InputError for other names, and HubError as the Hub answers.
         """
-        if places.kind_of_published(name) is not None:
+        if DatasetKind.of_published(name) is not None:
             return None
-        repository = places.find_repository(name, revision, on_wait)
+        repository = hub.HubRepository.named(name, revision, on_wait)
         return cls(repository, out) if SENSOR_FILE in repository.remote else None
 
     @property

@@ -3,7 +3,6 @@
 from .card import (
     Card as Card,
     markdown_table as markdown_table,
-    render_card as render_card,
     rewrite_card as rewrite_card,
 )
 from .licences import (

@@ -112,6 +112,12 @@ class Card:
         """Read a file of ``data_cards`` with texts for its templates."""
         return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
 
+    @staticmethod
+    def filled(template: str, values: Mapping[str, str]) -> str:
+        """Fill a template of ``data_cards``; KeyError for a placeholder without a value."""
+        text = files("data_cards").joinpath(template).read_text(encoding="utf-8")
+        return Template(text).substitute(values)
+
     @classmethod
     def of_copy(
         cls,
@@ -205,7 +211,7 @@ class Card:
         if sources:
             head["license"] = licences.strictest([source.licence for source in sources])
             terms["licence_text"] = licences.licence_text(sources)
-        body = wording.printable(render_card(self.template, {**values, **self.values, **terms}), keep="\n")
+        body = wording.printable(self.filled(self.template, {**values, **self.values, **terms}), keep="\n")
         words = owner.read_owner(yaml_head.stored_head(folder), folder.address())
         head, body = owner.with_owner(head, body, words, **terms)
         text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
@@ -307,12 +313,6 @@ def _draw_solids(facts: FolderSummary, record: type[pictures.DrawnSolid]) -> byt
 def _write_changed(folder: store.DataFolder, path: str, content: bytes) -> None:
     if not folder.exists(path) or folder.read_bytes(path) != content:
         folder.write_bytes(path, content)
-
-
-def render_card(template: str, values: Mapping[str, str]) -> str:
-    """Fill a template of ``data_cards``; KeyError for a placeholder without a value."""
-    text = files("data_cards").joinpath(template).read_text(encoding="utf-8")
-    return Template(text).substitute(values)
 
 
 def with_repo_name(card: str, name: str) -> str:

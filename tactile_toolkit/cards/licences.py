@@ -10,6 +10,7 @@ from tactile_toolkit import places
 from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.cards.owner import LICENCES
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import PublishedSet
 from tactile_toolkit.wording import markdown_code
 
 SOURCE_ID = "source_id"
@@ -39,7 +40,7 @@ def licence_of(place: places.Place) -> str:
     if place.folder is not None:
         stated = yaml_head.stored_head(place.folder).get("license")
     if repository is not None and not stated:
-        known = places.published_set(repository.repo_id)
+        known = PublishedSet.named(repository.repo_id)
         stated = getattr(repository, "licence", None) or (known and known.licence)
     if not isinstance(stated, str) or not stated.isprintable():
         return UNKNOWN

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import cards, catalog, errors, mesh, places, read, run, store, touch, wording
-from tactile_toolkit.kind import EXPORT, SELECT, SPLIT, DatasetKind, kinds
+from tactile_toolkit.kind import EXPORT, SELECT, SPLIT, DatasetKind
 from tactile_toolkit.mesh import records
 from tactile_toolkit.places import split_files
 from tactile_toolkit.store.manifest import VIEWER_FOLDER, ShardRecord
@@ -334,9 +334,7 @@ def build_copy(
         sensors |= {"unknown" if is_imported else touch.GELSIGHT_MINI for is_imported in unstated}
         options = {**options, "sensor": {"name": ", ".join(sorted(sensors))}}
     # Kinds of one package have the same columns, as all touches do.
-    made = next(
-        (installed for installed in kinds() if installed.name == installed.package == kind.package), kind
-    )
+    made = DatasetKind.named(kind.package) or kind
     splits = dict.fromkeys(split for source in sources for split in source.shards)
     shards_of = {
         split: [shard for source in sources for shard in source.shards.get(split, ())] for split in splits

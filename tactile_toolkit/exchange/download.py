@@ -17,7 +17,7 @@ from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.kind import DatasetKind, PublishedSet
 from tactile_toolkit.places.opening import repository_place
-from tactile_toolkit.places.place import published_set, require_kind
+from tactile_toolkit.places.place import require_kind
 from tactile_toolkit.store.folder import PENDING_FOLDER, LocalFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import write_manifest
@@ -94,10 +94,10 @@ class DownloadPlan:
         SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was
         changed.
         """
-        published = places.kind_of_published(name)
+        published = DatasetKind.of_published(name)
         if kind is not None and published is not None:
             require_kind(published, kind, name, "tactile download")
-        repository = places.find_repository(name, revision, on_wait)
+        repository = hub.HubRepository.named(name, revision, on_wait)
         if out is not None and repository.is_cache:  # which may list a part of the files only
             raise not_cached(repository.repo_id, "the present list of files")
         place = repository_place(repository, repository.repo_id, config=config).require_config(config)
@@ -108,7 +108,7 @@ class DownloadPlan:
     @property
     def published(self) -> PublishedSet | None:
         """The published data set that is downloaded; None for others."""
-        return published_set(self.repository.repo_id)
+        return PublishedSet.named(self.repository.repo_id)
 
     @property
     def missing_bytes(self) -> int:

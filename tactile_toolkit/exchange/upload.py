@@ -191,6 +191,7 @@ class Upload:
     def of_files(
         cls,
         files: Mapping[str, bytes],
+        card: str,
         repo_id: str,
         options: UploadOptions,
         *,
@@ -200,15 +201,17 @@ class Upload:
     ) -> Upload:
         """Compare a few files that are no data set, by path, with a repository; changes nothing.
 
-        ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
+        ``card`` is the text of the page of the repository, ``what`` names the files in the commit. Raises
+        InputError (an unusable option) or HubError.
         """
         ask = _asking(repo_id, on_wait)
         with contextlib.ExitStack() as stack:
             scratch = stack.enter_context(scratch_folder())
-            for path, content in files.items():
+            sent = {**files, store.CARD_FILE: card.encode()}
+            for path, content in sent.items():
                 (scratch / path).write_bytes(content)
             state, unasked = _asked_state(ask, repo_id, options.branch, dry_run=dry_run)
-            local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
+            local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in sent.items())
             compared = _compared(repo_id, options, state, local, ask, what)
             upload = replace(compared, unasked=unasked)
             weakref.finalize(upload, stack.pop_all().close)

@@ -18,7 +18,7 @@ from typing import Any
 
 import huggingface_hub
 
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.hub.calls import (
     TooLargeError,
     call_with_retry,
@@ -27,6 +27,7 @@ from tactile_toolkit.hub.calls import (
     not_cached,
     require_addresses,
 )
+from tactile_toolkit.kind import DatasetKind, PublishedSet
 from tactile_toolkit.store.files import scratch_folder, sync_file, write_file
 from tactile_toolkit.store.folder import LocalFolder
 from tactile_toolkit.store.manifest import is_of_others
@@ -43,6 +44,7 @@ _NAME = re.compile(
 )
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _MAIN = "main"
+_LONGEST_SHOWN = 200
 _FILES_AT_ONCE = 8  # as in the Hub's own client
 
 
@@ -73,6 +75,24 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
             next="leave one of them out",
         )
     return HubName(match["repo"], named or revision, match["path"] or "")
+
+
+def named_on_hub(name: str, revision: str | None) -> HubName:
+    """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
+    known = PublishedSet.named(name)
+    repo_id = known.repo_id if known is not None else name
+    named = hub_name(repo_id, revision)
+    if named is None:
+        near = [entry.name for kind in DatasetKind.installed() for entry in kind.published]
+        with contextlib.suppress(OSError, errors.InputError):  # an unknown user's home
+            path = store.local_path(name)
+            near += map(str, path.parent.iterdir() if path else ())
+        raise errors.InputError(
+            f"{wording.shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, "
+            f"a repository of the Hub (USER/NAME) or a published set{wording.did_you_mean(name, near)}",
+            next="check the name (`tactile list` lists the published sets), or make a data set",
+        )
+    return named
 
 
 def commit_of(repo_id: str, revision: str) -> str | None:
@@ -141,6 +161,22 @@ class HubRepository:
     licence: str | None = None
     is_private: bool = False
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
+
+    @classmethod
+    def named(
+        cls, name: str, revision: str | None = None, on_wait: Callable[[str], None] = lambda _: None
+    ) -> HubRepository:
+        """Look up a repository by its name, or the short name of a published set.
+
+        Asks again after transient failures. Raises InputError for other names, and for a part of a
+        repository; HubError as the Hub answers.
+        """
+        found = named_on_hub(name, revision)
+        if found.path:
+            raise errors.InputError(
+                f"{name!r} is a part of a repository; expected all of it", next=f"leave {found.path!r} out"
+            )
+        return open_repository(found.repo_id, found.revision, patient=True, on_wait=on_wait)
 
     @property
     def folder(self) -> store.DataFolder:

@@ -6,10 +6,6 @@ from .opening import (
     open_place as open_place,
 )
 from .place import (
-    find_repository as find_repository,
-    kind_of_published as kind_of_published,
-    kind_of_rows as kind_of_rows,
     Place as Place,
-    published_set as published_set,
     published_states as published_states,
 )

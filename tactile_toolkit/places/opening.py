@@ -10,8 +10,9 @@ from typing import Any, Literal, Protocol, TypeAlias, TypeVar, cast, overload
 
 from tactile_toolkit import errors, hub, mesh, read, store
 from tactile_toolkit.hub.calls import not_cached
-from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.places.place import Place, named_on_hub, published_set, shards_by_split
+from tactile_toolkit.hub.repository import named_on_hub
+from tactile_toolkit.kind import DatasetKind, PublishedSet
+from tactile_toolkit.places.place import Place, shards_by_split
 from tactile_toolkit.places.split_files import (
     PARQUET,
     USUAL_SPLIT,
@@ -119,7 +120,7 @@ def _several(names: object, revision: str | None) -> Place | None:
 def _without_short_name(name: str) -> str:
     """Return a name, or nothing if it is the short name of a published set and there is no such data."""
     # Short names have no slash: most names are paths, and need no list of kinds.
-    if "/" in name or published_set(name) is None:
+    if "/" in name or PublishedSet.named(name) is None:
         return name
     # The folder must hold data: a checkout of the toolkit has a folder called ``mnist3d``, too.
     path = Path(name)

@@ -7,17 +7,15 @@ Whatever takes the name of a data set (loaders, commands, copies, environments) 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
-import pyarrow as pa
-
 from tactile_toolkit import errors, hub, mesh, read, run, store, wording
 from tactile_toolkit.hub.calls import hub_failures, not_cached
-from tactile_toolkit.hub.repository import HubName, find_cached
-from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others, kinds
+from tactile_toolkit.hub.repository import find_cached
+from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others
 from tactile_toolkit.places.split_files import (
     USUAL_SPLIT,
     files_of_split,
@@ -30,7 +28,6 @@ from tactile_toolkit.value_types import JsonObject
 
 _COLUMNS_SHOWN = 8
 _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
-_LONGEST_SHOWN = 200
 _THREADS = 8
 
 
@@ -132,9 +129,9 @@ class Place:
     @cached_property
     def _stated_kind(self) -> DatasetKind | None:
         if self.manifest is not None:
-            return next((kind for kind in kinds() if kind.name == self.manifest.kind), None)
+            return DatasetKind.named(self.manifest.kind)
         repository = self.repository or self.download
-        return None if repository is None else kind_of_published(repository.repo_id)
+        return None if repository is None else DatasetKind.of_published(repository.repo_id)
 
     def choose_kind(self, name: str | None = None) -> DatasetKind:
         """Return the named kind if the columns fit it; without a name, the recognised one.
@@ -142,9 +139,9 @@ class Place:
         Raises InputError if the kind is not known and none is named, and if the named one does not fit.
         """
         recognised = self.kind
-        named = next((kind for kind in kinds() if kind.name == name), None)
+        named = DatasetKind.named(name)
         if named is None and name is not None:
-            expected = ", ".join(kind.name for kind in kinds())
+            expected = ", ".join(kind.name for kind in DatasetKind.installed())
             raise errors.InputError(f"is {name!r}; expected one of {expected}", field="kind")
         if named is not None:
             self.require(named, "--kind")
@@ -152,7 +149,9 @@ class Place:
         if recognised is not None:
             return recognised
         columns = read.column_names(self._first_shard().schema)
-        fitting = [kind.name for kind in kinds() if any(column in columns for column in kind.needs)]
+        fitting = [
+            kind.name for kind in DatasetKind.installed() if any(column in columns for column in kind.needs)
+        ]
         if self.manifest is not None or not fitting:
             shown = ", ".join(columns[:_COLUMNS_SHOWN])
             raise errors.InputError(
@@ -437,23 +436,11 @@ def hub_shards(
     return tuple(read.Shard(repository.address(path), failures=failures) for path in paths)
 
 
-def kind_of_rows(schema: pa.Schema) -> DatasetKind | None:
-    """Return the kind of rows by a column that only it has, or of meshes by the published class names."""
-    names = read.column_names(schema)
-    for kind in kinds():
-        if any(name.partition(".")[0] in kind.columns for name in names):
-            return kind
-    if mesh.FACES not in names:
-        return None
-    classes = read.class_names(schema, ())
-    known = (kind for kind in kinds() if kind.published and kind.class_names)
-    return next((kind for kind in known if kind.class_names == classes), None)
-
-
 def _kind_of(shard: read.Shard) -> DatasetKind | None:
     """Return the kind of the rows of a file; None if it is damaged, which reading the rows reports."""
     with suppress(errors.IntegrityError):
-        return kind_of_rows(shard.schema)
+        names = read.column_names(shard.schema)
+        return DatasetKind.of_columns(names, read.class_names(shard.schema, ()))
     return None
 
 
@@ -476,52 +463,6 @@ def wrong_kind(held: DatasetKind, name: str, asked: str, content: str) -> errors
     if " " in asked or asked.startswith("-"):
         next_step = f"show what it holds with `tactile info {shlex.quote(name)}`"
     return errors.InputError(f"{name!r} holds {held.content}; `{asked}` is for {content}", next=next_step)
-
-
-def published_set(name: str) -> PublishedSet | None:
-    """Return a published set by its short name or its repository; None for any other name."""
-    entries = (entry for kind in kinds() for entry in kind.published)
-    return next((known for known in entries if name in (known.name, known.repo_id, *known.aliases)), None)
-
-
-def kind_of_published(name: str) -> DatasetKind | None:
-    """Return the kind of a published set by its short name or its repository; None for any other name."""
-    known = published_set(name)
-    return next((kind for kind in kinds() if known in kind.published), None)
-
-
-def find_repository(
-    name: str, revision: str | None = None, on_wait: Callable[[str], None] = lambda _: None
-) -> hub.HubRepository:
-    """Look up a repository by its name, or the short name of a published set.
-
-    Asks again after transient failures. Raises InputError for other names, and for a part of a repository;
-    HubError as the Hub answers.
-    """
-    named = named_on_hub(name, revision)
-    if named.path:
-        raise errors.InputError(
-            f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
-        )
-    return hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
-
-
-def named_on_hub(name: str, revision: str | None) -> HubName:
-    """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
-    known = published_set(name)
-    repo_id = known.repo_id if known is not None else name
-    named = hub.hub_name(repo_id, revision)
-    if named is None:
-        near = [entry.name for kind in kinds() for entry in kind.published]
-        with suppress(OSError, errors.InputError):  # an unknown user's home
-            path = store.local_path(name)
-            near += map(str, path.parent.iterdir() if path else ())
-        raise errors.InputError(
-            f"{wording.shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, "
-            f"a repository of the Hub (USER/NAME) or a published set{wording.did_you_mean(name, near)}",
-            next="check the name (`tactile list` lists the published sets), or make a data set",
-        )
-    return named
 
 
 @dataclass(frozen=True, slots=True)
@@ -555,4 +496,6 @@ def published_states() -> Iterator[PublishedState]:
         splits = list(splits_by_name(cached.remote, known.repo_id))
         return PublishedState(known, licence, hub_bytes, cached.size_bytes, splits)
 
-    return run.in_threads(state, [known for kind in kinds() for known in kind.published], _THREADS)
+    return run.in_threads(
+        state, [known for kind in DatasetKind.installed() for known in kind.published], _THREADS
+    )

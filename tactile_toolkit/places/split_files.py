@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 from typing import TypeAlias
 
 from tactile_toolkit import errors, store, wording
-from tactile_toolkit.kind import kinds
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.store.folder import PENDING_FOLDER
 from tactile_toolkit.store.manifest import DATA_FOLDER, VIEWER_FOLDER, pending_shards
 from tactile_toolkit.value_types import JsonObject
@@ -157,7 +157,7 @@ def _split_in(name: str) -> str:
 
 @cache
 def _known_splits() -> frozenset[str]:
-    return frozenset(split for kind in kinds() for split in kind.splits)
+    return frozenset(split for kind in DatasetKind.installed() for split in kind.splits)
 
 
 def split_of_file(name: str) -> str | None:

@@ -70,7 +70,7 @@ UNPACKED = cache.DiskCache(
     warning="row groups cannot be kept unpacked, {problem}; the most recently used stay in the memory of "
     "this process, others are decoded again",
 )
-HELD_UP: set[Path] = set()  # locks that others did not release; this process does not wait for them again
+HELD_UP: set[str] = set()  # locks that others did not release; this process does not wait for them again
 
 # Part of the names of blocks; increased when other types are unpacked from the same files.
 LAYOUT = 2
@@ -202,8 +202,7 @@ class Shard:
         except FileNotFoundError:
             return None
         except (ValueError, OSError) as error:
-            if store.resource_shortage(error) is None:
-                UNPACKED.drop(file)
+            UNPACKED.drop_unreadable(file, error)
             return None
         UNPACKED.mark_used(file)
         _, index, number = key
@@ -225,20 +224,11 @@ class Shard:
         files = [block_file((self.digest, index, number)) for number in numbers]
         if UNPACKED.is_given_up or are_kept(files):
             return not UNPACKED.is_given_up
-        with contextlib.ExitStack() as stack:
-            # 256 lock files for all row groups, because lock files stay in the cache.
-            lock = cache.cache_folder() / cache.LOCKS / self.digest[:2]
-            try:
-                lock.parent.mkdir(parents=True, exist_ok=True)
-                patience_s = 0.0 if lock in HELD_UP else None
-                stack.enter_context(store.locked(lock, patience_s=patience_s, is_patient=True))
-            except OSError:
-                pass  # without locks, processes do not wait
-            except errors.BusyError as error:
-                if lock not in HELD_UP:
-                    warnings.warn(
-                        f"{error.what}; this process stops waiting for it", RuntimeWarning, stacklevel=2
-                    )
+        # 256 lock files for all row groups, because lock files stay in the cache.
+        lock = self.digest[:2]
+        with cache.held(lock, patience_s=0.0 if lock in HELD_UP else None) as busy:
+            if isinstance(busy, errors.BusyError) and lock not in HELD_UP:
+                warnings.warn(f"{busy.what}; this process stops waiting for it", RuntimeWarning, stacklevel=2)
                 HELD_UP.add(lock)
             # Read each time, because a notebook may set the variable at any time.
             UNPACKED.limit_bytes = cache.cache_limit_bytes()

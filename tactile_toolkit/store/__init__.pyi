@@ -27,7 +27,6 @@ from .files import (
     open_regular as open_regular,
     path_exists as path_exists,
     problem_of_name as problem_of_name,
-    resource_shortage as resource_shortage,
 )
 from .job import (
     BuildPlan as BuildPlan,

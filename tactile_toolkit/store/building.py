@@ -20,7 +20,7 @@ from typing import Unpack
 import msgspec
 
 from tactile_toolkit import errors, run
-from tactile_toolkit.kind import kinds
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.store import parquet
 from tactile_toolkit.store.files import DRAFT, is_hidden
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
@@ -418,7 +418,7 @@ def remove_next(folder: LocalFolder) -> None:
 
 def extra_files() -> list[str]:
     """Return the patterns of files that any kind of data set has next to its rows."""
-    return [pattern for kind in kinds() for pattern in kind.extra_files]
+    return [pattern for kind in DatasetKind.installed() for pattern in kind.extra_files]
 
 
 def is_ours(path: str, further: Iterable[str]) -> bool:

@@ -30,7 +30,6 @@ _TRIES = 10
 _BUFFER_BYTES = 1 << 13
 # Flags to open a file for flushing: Windows flushes only files that are open for writing.
 _FLUSHABLE = {"nt": os.O_RDWR}.get(os.name, os.O_RDONLY)
-_RESOURCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, its name has a prefix.
@@ -135,21 +134,9 @@ def named_failures(address: str) -> Iterator[None]:
         ) from error
 
 
-def resource_shortage(error: Exception) -> str | None:
-    """Return a message for an error of scarce resources (memory, file handles); None for other errors."""
-    if isinstance(error, MemoryError):
-        error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
-    if not isinstance(error, OSError) or error.errno not in _RESOURCE_ERRNOS:
-        return None
-    return (
-        f"{error.strerror}; next: end programs that are not needed, raise the limit of open files "
-        "(ulimit -n) or use fewer --workers, and run it again"
-    )
-
-
 def unreadable(address: str, error: Exception) -> errors.InputError | None:
     """Return the error for a file or folder that cannot be read for another reason than its content."""
-    reason = resource_shortage(error)
+    reason = errors.resource_shortage(error)
     if isinstance(error, PermissionError):
         reason = "permission denied; next: change its permissions, or ask its owner to"
     return None if reason is None else errors.InputError(f"{address!r} cannot be read: {reason}")

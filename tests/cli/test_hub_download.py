@@ -14,8 +14,7 @@ import pytest
 
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.touches.loading import SHORT_NAMES
-from tactile_toolkit.kind import kinds
-from tactile_toolkit.places.place import published_set
+from tactile_toolkit.kind import DatasetKind, PublishedSet
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -249,7 +248,7 @@ def test_list(server, tmp_path):
     call(server, tmp_path, "tactile", "download", "real-single-64x64", "--split", "test")
     said = call(server, tmp_path, "tactile", "list", "--json")
     found = {entry["name"]: entry for entry in json.loads(said.out)}
-    assert set(found) == {entry.name for kind in kinds() for entry in kind.published}
+    assert set(found) == {entry.name for kind in DatasetKind.installed() for entry in kind.published}
     here = found["real-single-64x64"]
     files = server.repository(TOUCHES).head.files
     assert here["hub_bytes"] == sum(len(blob.content) for blob in files.values())
@@ -267,11 +266,11 @@ def test_list(server, tmp_path):
 
 
 def test_short_names():
-    entries = [entry for kind in kinds() for entry in kind.published]
+    entries = [entry for kind in DatasetKind.installed() for entry in kind.published]
     assert len({entry.name for entry in entries}) == len({entry.repo_id for entry in entries}) == 9
     for entry in entries:
-        assert published_set(entry.name) == published_set(entry.repo_id) == entry
+        assert PublishedSet.named(entry.name) == PublishedSet.named(entry.repo_id) == entry
         assert entry.citation.startswith("Schneider")
-    assert published_set("someone/digits") is None
-    assert published_set("real-single") == published_set("real-single-320x240")
-    assert {published_set(name) for name in SHORT_NAMES} == {*TOUCH_KIND.published}
+    assert PublishedSet.named("someone/digits") is None
+    assert PublishedSet.named("real-single") == PublishedSet.named("real-single-320x240")
+    assert {PublishedSet.named(name) for name in SHORT_NAMES} == {*TOUCH_KIND.published}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.hub import hub_name
+from tactile_toolkit.hub import HubRepository, hub_name
 from tactile_toolkit.hub.repository import HubName
-from tactile_toolkit.places import find_repository, open_place
+from tactile_toolkit.places import open_place
 from tactile_toolkit.places.split_files import splits_by_name
 
 
@@ -51,7 +51,7 @@ def test_a_revision_is_given_once():
 
 def test_a_part_of_a_repository_is_not_a_repository():
     with pytest.raises(InputError, match="leave 'data' out"):
-        find_repository("hf://datasets/a/b/data")
+        HubRepository.named("hf://datasets/a/b/data")
 
 
 def test_numbered_files_belong_to_the_split_of_their_folder():
