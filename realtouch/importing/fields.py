@@ -9,10 +9,9 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches.poses import bad_pose
-from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
+from realtouch.touches.schema import EXTRA_PREFIX, POSE_COLUMN, extra_columns
 from tactile_toolkit import errors, wording
 from tactile_toolkit.columns import column_types, units
 from tactile_toolkit.value_types import Float64, Int64
@@ -35,6 +34,12 @@ _LONGEST_INTEGER = 18  # digits
 
 # The cell is 0.12 m wide. A position over 0.12 m outside of it, or over 0.36 m high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
+_SAME_M = 1e-9
+_SEVERAL_POSITIONS = errors.ItemError(
+    "position",
+    "it differs between the pictures of the clip; expected one value (--map position= leaves it out)",
+)
+_LONGEST_S = 1e6  # of a clip
 _MAX_TURN = 4 * np.pi  # radians; a longer rotation vector is in degrees
 _MAX_TILT = 1e-6  # of a frame that can transform x and y without the height
 _INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"))
@@ -110,34 +115,113 @@ def objects_of(
     return object_ids, problems
 
 
+def with_stored_columns(
+    touches: source_touches.SourceTouches,
+    columns: import_options.ImportColumns,
+    names: Sequence[str],
+    extras: ExtraColumns,
+) -> source_touches.SourceTouches:
+    """Return touches with the columns of a data set that follow from their fields, and with problems.
+
+    Labels, objects, positions, poses and ``extras`` are read here, for all touches at once; a position or
+    pose that is not known is NaN. Of the fields, those that are not kept are left.
+    """
+    labels, problems = labels_of(touches, columns.label, names)
+    made: dict[str, pa.Array] = {"label": pa.array(labels)}
+    read = touches.with_problems(problems)
+    if columns.object_id:
+        object_ids, problems = objects_of(touches, columns.object_id)
+        made["object_id"] = pa.array(object_ids)
+        read = read.with_problems(problems)
+    if columns.position:
+        of_pictures_m, problems = _of_pictures(read, stated_positions, columns, columns.position, 2)
+        owners = touches.owners
+        of_touches, first = np.unique(owners, return_index=True)
+        positions_m = np.full((len(touches), 2), np.nan)
+        positions_m[of_touches] = of_pictures_m[first]
+        made["pos_in_cell"] = _vectors(positions_m)
+        differs = (np.abs(of_pictures_m - positions_m[owners]) > _SAME_M).any(axis=1)
+        read = read.with_problems(dict.fromkeys(owners[differs].tolist(), _SEVERAL_POSITIONS) | problems)
+    if columns.pose:
+        of_pictures, problems = _of_pictures(read, poses, columns, columns.pose, 7)
+        read = read.with_problems(problems)
+        pose_column = POSE_COLUMN["seq" if touches.has_clips else "single"]
+        for part, numbers in (("position", slice(3)), ("quaternion", slice(3, 7))):
+            vectors = _vectors(of_pictures[:, numbers])
+            if touches.has_clips:
+                vectors = column_types.lists_of(vectors, touches.picture_counts)
+            made[f"{pose_column}.{part}"] = vectors
+    made |= extras.arrays(touches)
+    read = read.with_problems(_problems_of_times(touches, columns))
+    return replace(extras.without_kept(read), stored=pa.table(made))
+
+
+def _vectors(rows: Float64) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(rows.reshape(-1)), rows.shape[1])
+
+
+def _of_pictures(
+    touches: source_touches.SourceTouches,
+    read: Callable[[Fields, import_options.ImportColumns], Float64],
+    columns: import_options.ImportColumns,
+    names: tuple[str, ...],
+    width: int,
+) -> tuple[Float64, dict[int, errors.ItemError]]:
+    """Return the values of columns for each picture, NaN where there is none, and problems of touches."""
+    owners = touches.owners
+    problems = dict[int, errors.ItemError]()
+    values = {name: touches.of_pictures(name) for name in names}
+    numbers, wrong = each_of(read, values, columns, np.flatnonzero(touches.is_usable[owners]), (width,))
+    for row, error in wrong.items():
+        touch = int(owners[row])
+        if not {*names}.isdisjoint(touches.per_frame.column_names):
+            number = row - int(np.searchsorted(owners, touch))
+            error = errors.ItemError(error.reason, f"picture {number}: {error.message}")
+        problems.setdefault(touch, error)
+    return numbers, problems
+
+
+def _problems_of_times(
+    touches: source_touches.SourceTouches, columns: import_options.ImportColumns
+) -> dict[int, errors.ItemError]:
+    """Return a problem for each clip without the times that are named, and for each that lasts too long."""
+    problems: dict[int, errors.ItemError] = {}
+    for index in np.flatnonzero(touches.listing["frames"].to_numpy()).tolist():
+        time_s = touches.listing["time_s"][index].values
+        if time_s is None and columns.time:
+            words = f"no {columns.time!r} for each picture; expected the time of each"
+            problems[index] = errors.ItemError("time", words)
+        elif time_s is not None and (lasts_s := time_s[-1].as_py() - time_s[0].as_py()) > _LONGEST_S:
+            words = f"the clip lasts {lasts_s:g} s; expected seconds (--time-unit states another unit)"
+            problems[index] = errors.ItemError("time", words)
+    return problems
+
+
 def each_of(
     read: Callable[[Fields, import_options.ImportColumns], Float64],
     fields: Fields,
     columns: import_options.ImportColumns,
     rows: Int64,
-) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
+    shape: tuple[int, ...] = (),
+) -> tuple[Float64, dict[int, errors.ItemError]]:
     """Read the values of some touches or pictures at once, or in smaller parts where some are wrong.
 
-    Returns an array with an entry for every touch or picture of the fields, NaN where nothing was read, and
-    the problems by index. Instead of the array it returns None if no value can be used.
+    Returns an array with an entry of the ``shape`` for every touch or picture of the fields, NaN where
+    nothing was read, and the problems by index.
     """
     problems: dict[int, errors.ItemError] = {}
-    values: Float64 | None = None
-    parts = [rows]
+    values = np.full((max(map(len, fields.values())), *shape), np.nan)
+    parts = [rows] if len(rows) else []
     while parts:
         part = parts.pop()
+        some = {name: column.take(pa.array(part)) for name, column in fields.items()}
         try:
-            some = read({name: column.take(pa.array(part)) for name, column in fields.items()}, columns)
+            values[part] = read(some, columns)
         except errors.ItemError as error:
             if len(part) == 1:
                 problems[int(part[0])] = error
-            elif len(part):
+            else:
                 parts += np.array_split(part, 2)[::-1]
-            continue
-        if values is None:
-            count = max(map(len, fields.values()))
-            values = np.full((count, *some.shape[1:]), np.nan)
-        values[part] = some
     return values, dict(sorted(problems.items()))
 
 
@@ -407,14 +491,14 @@ class ExtraColumns:
             made[column] = values.cast(kind)
         return made
 
-    def not_kept(self, touches: source_touches.SourceTouches) -> dict[str, int]:
-        """Return the number of touches with each field that is neither used nor kept."""
+    def without_kept(self, touches: source_touches.SourceTouches) -> source_touches.SourceTouches:
+        """Return touches with the fields that are neither used nor kept."""
         kept = _used(self.columns) | self.names.keys()
-        counts = Counter[str]()
-        for name in [name for name in touches.names if name not in kept]:
-            tables = [table for table in (touches.per_touch, touches.per_frame) if name in table.column_names]
-            counts[wording.printable(name)] += max(len(table) - table[name].null_count for table in tables)
-        return {name: count for name, count in counts.items() if count}
+        per_touch, per_frame = (
+            table.select([name for name in table.column_names if name not in kept])
+            for table in (touches.per_touch, touches.per_frame)
+        )
+        return replace(touches, per_touch=per_touch, per_frame=per_frame)
 
 
 def _used(columns: import_options.ImportColumns) -> set[str | None]:

@@ -100,6 +100,7 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
     """Return the plan of an import: a task for each shard, and its specification for the manifest."""
     every = recordings.touches
     make_shard: Any = touches.make_shard  # takes touches; the type of a task only knows counted items
+    size = touches.make_shard.image_size
     tasks = []
     for split, parts in touches.shards.items():
         for index, part in enumerate(parts):
@@ -109,9 +110,9 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
         "operation": "import",
         "options": {
             "layout": recordings.layout,
-            "columns": {key: value for key, value in asdict(make_shard.columns).items() if value},
-            "classes": list(make_shard.names),
-            "image_size": make_shard.image_size and [make_shard.image_size[1], make_shard.image_size[0]],
+            "columns": {key: value for key, value in asdict(recordings.columns).items() if value},
+            "classes": list(touches.names),
+            "image_size": size and [size[1], size[0]],
         },
         "source": {
             split: [{"file": "images", "rows": sum(map(len, parts))}]
@@ -187,11 +188,13 @@ class Arranged:
     """The touches of a source in rounds and splits, and the function that makes shards of them.
 
     ``shards`` holds the shards of each split by its name; a shard has whole rounds, one after the other.
-    ``notes`` says which rounds were divided.
+    ``names`` are those of the classes; ``notes`` says which rounds were divided.
     """
 
     shards: Mapping[str, Sequence[source_touches.SourceTouches]]
     make_shard: import_shards.ImportTouches
+    names: tuple[str, ...]
+    extras: fields.ExtraColumns
     notes: Sequence[str]
 
 
@@ -209,13 +212,12 @@ def arranged(recordings: import_sources.ReadSource, spec: import_options.ImportS
     sizes = touches.listing["size"].to_pylist()
     whole = _rounds(touches, columns, spec.split)
     taken = {name for of_split in whole.values() for name in of_split}
-    size = common_size(touches, read.contents, read.one_size_per_file)
     extras = fields.ExtraColumns.of(touches, columns)
-    schema = import_shards.touch_schema(extras, names, has_clips=touches.has_clips)
-    make_shard = import_shards.ImportTouches(
-        recordings.layout, columns, names, size, schema, extras, recordings.versions
-    )
-    contents = _contents_of(touches, columns, names)
+    touches = fields.with_stored_columns(touches, columns, names, extras)
+    size = common_size(touches, read.contents, read.one_size_per_file)
+    schema = import_shards.touch_schema(touches.stored.schema, names, has_clips=touches.has_clips)
+    make_shard = import_shards.ImportTouches(recordings.layout, size, schema, recordings.versions)
+    contents = _contents_of(touches)
     shards = {}
     notes = []
     divisions = (
@@ -233,9 +235,8 @@ def arranged(recordings: import_sources.ReadSource, spec: import_options.ImportS
                 count = wording.with_count(len(rounds), "rounds")
                 notes.append(f"{count} of {name} became {len(divided):,}{reason}, such as {piece!r}")
             rounds = divided
-        parts = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
-        shards[name] = [part.with_problems(make_shard.problems_of_fields(part)) for part in parts]
-    return Arranged(shards, make_shard, notes)
+        shards[name] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
+    return Arranged(shards, make_shard, names, extras, notes)
 
 
 def too_many_left_out(touches: Arranged, max_share: float) -> errors.InputError | None:
@@ -264,16 +265,14 @@ def too_many_left_out(touches: Arranged, max_share: float) -> errors.InputError 
     return None
 
 
-def _contents_of(
-    touches: source_touches.SourceTouches, columns: import_options.ImportColumns, names: Sequence[str]
-) -> list[tuple[int, int] | None]:
-    """Return the label and the object of each touch; None where they cannot be read."""
-    labels, no_labels = fields.labels_of(touches, columns.label, names)
-    objects, no_objects = fields.objects_of(touches, columns.object_id)
-    contents: list[tuple[int, int] | None] = list(zip(labels.tolist(), objects.tolist(), strict=True))
-    for number in {*no_labels, *no_objects, *np.flatnonzero(~touches.is_usable).tolist()}:
-        contents[number] = None
-    return contents
+def _contents_of(touches: source_touches.SourceTouches) -> list[tuple[int, int] | None]:
+    """Return the label and the object of each touch; None for one that cannot be used."""
+    labels, objects = (
+        touches.stored[name].to_pylist() if name in touches.stored.column_names else [0] * len(touches)
+        for name in ("label", "object_id")
+    )
+    known = zip(labels, objects, touches.is_usable.tolist(), strict=True)
+    return [(label, object_id) if is_usable else None for label, object_id, is_usable in known]
 
 
 def _runs(numbers: Sequence[int], contents: Sequence[tuple[int, int] | None]) -> list[Sequence[int]]:

@@ -257,7 +257,7 @@ def _timed(
         return times_s(fields[source_touches.TIME_S], how.time or "", how.time_unit)
 
     time_s, problems = each_of(read, {source_touches.TIME_S: values}, columns, rows)
-    column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
+    column = pa.array(time_s, from_pandas=True)
     return touches.with_problems(problems).with_fields({source_touches.TIME_S: column})
 
 
@@ -281,7 +281,7 @@ def fields_of_whole(
     A clip has a problem if a value differs between its pictures, unless the clip has its own value.
     """
     names = {columns.label, columns.round, columns.object_id, columns.split, source_files.NUMBERED}
-    owners = np.repeat(np.arange(len(touches)), touches.picture_counts)
+    owners = touches.owners
     of_touches, starts = np.unique(owners, return_index=True)
     firsts = np.full(len(touches), -1)
     firsts[of_touches] = starts

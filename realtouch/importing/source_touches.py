@@ -86,11 +86,14 @@ class SourceTouches(Sequence[PictureLocation]):
         Fields of each touch, by their names in the source; see :mod:`tactile_toolkit.columns.column_types`.
     per_frame : pyarrow.Table
         Fields of each picture of a clip: lists with an entry for each picture, or null.
+    stored : pyarrow.Table
+        Columns of the data set that follow from the fields, with an entry for each touch.
     """
 
     listing: pa.Table
     per_touch: pa.Table
     per_frame: pa.Table
+    stored: pa.Table = field(default_factory=lambda: pa.table({}))
 
     @classmethod
     def of(
@@ -157,7 +160,8 @@ class SourceTouches(Sequence[PictureLocation]):
     def take(self, rows: Int64) -> SourceTouches:
         """Return some touches in this order; the others are not kept in memory."""
         taken = pa.array(rows, pa.int64())
-        return SourceTouches(*(table.take(taken) for table in (self.listing, self.per_touch, self.per_frame)))
+        tables = (self.listing, self.per_touch, self.per_frame, self.stored)
+        return SourceTouches(*(table.take(taken) for table in tables))
 
     @property
     def is_usable(self) -> Bool:
@@ -197,6 +201,11 @@ class SourceTouches(Sequence[PictureLocation]):
         frames: Int64 = self.listing["frames"].to_numpy()
         return frames if self.has_clips else np.ones_like(frames)
 
+    @property
+    def owners(self) -> Int64:
+        """Number of the touch of each picture, shape (pictures,)."""
+        return np.repeat(np.arange(len(self)), self.picture_counts)
+
     def of_frames(self, name: str) -> pa.Array:
         """Return a field of the pictures of each clip, as lists.
 
@@ -221,7 +230,7 @@ class SourceTouches(Sequence[PictureLocation]):
         if name in self.per_frame.column_names:
             return self.of_frames(name).flatten()
         whole = _column(self.per_touch, name, len(self))
-        return whole.take(pa.array(np.repeat(np.arange(len(self)), self.picture_counts)))
+        return whole.take(pa.array(self.owners))
 
     def texts(self, name: str | None) -> list[str]:
         """Return a field of each touch as text; empty where there is no value."""
