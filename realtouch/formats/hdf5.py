@@ -388,7 +388,9 @@ def _recording(
                 left_out.append(f"attribute {name}")
     divisor = pictures.divisor if isinstance(pictures, picture_arrays.PictureArray) else ""
     about = (f"{divisor} {group}{image}", 0, len(pictures), pictures.picture_bytes, values, per_frame)
-    whole = source_touches.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
+    whole = source_touches.Recording(
+        title, home.address(), path, *about, left_out=tuple(left_out), conversions=pictures.conversions
+    )
     constant = zarr_recordings.episode_columns(whole, columns).intersection(required)
     return next(zarr_recordings.split_episodes(whole, np.array([len(pictures)]), [title], constant))
 
@@ -409,4 +411,3 @@ def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arra
 
 
 read_contents = partial(picture_arrays.read_contents, opened=_open_pictures)
-describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

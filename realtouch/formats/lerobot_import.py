@@ -63,15 +63,6 @@ def find_lerobot(
     yield from map(reader.recording, read_episodes(home, info, camera))
 
 
-def describe_conversion(touches: source_touches.SourceTouches) -> str:
-    """Return how pictures are converted; empty if they are stored as they are."""
-    usable = touches.take(np.flatnonzero(touches.is_usable)[:1])
-    if not len(usable) or usable[0].path.endswith(_ROWS):
-        return ""
-    first = usable[0]
-    return videos.open_video(store.open_folder(first.home), first.path).conversion
-
-
 def _read_frames(
     home: store.DataFolder, picture: source_touches.PictureLocation, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
@@ -122,7 +113,13 @@ class _Episodes:
         self.home.size_inside(episode.video_path)
         opened = videos.open_video(self.home, episode.video_path)
         first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
-        return replace(recording, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)
+        return replace(
+            recording,
+            path=episode.video_path,
+            first=first,
+            frame_bytes=opened.picture_bytes,
+            conversions=(opened.conversion, opened.conversion),
+        )
 
     def _read_columns(self, path: str) -> None:
         """Read all columns of a file except pictures, unless it was the last one that was read."""

@@ -175,7 +175,7 @@ def _recording(
             video = videos.open_video(folder, path)
         except errors.ItemError as error:
             problem = error
-    source = (folder.address(), path, video.conversion, 0, len(video), video.picture_bytes)
+    source = (folder.address(), path, "", 0, len(video), video.picture_bytes)
     return source_touches.Recording(
         name,
         *source,
@@ -183,6 +183,7 @@ def _recording(
         time_s=video.time_s,
         problem=problem,
         is_at_stated_rate=True,
+        conversions=(video.conversion, video.conversion),
         streams=tuple(of_one),
     )
 
@@ -277,11 +278,6 @@ def _table_of_videos(
     for name in of_videos:
         ledger.use(home, name)
     return next(iter(of_videos.values()), None)
-
-
-def describe_conversion(touches: source_touches.SourceTouches) -> str:
-    """Return how the pictures of videos are converted; empty if they are stored as they are."""
-    return "; ".join(sorted({*touches.listing["part"].unique().to_pylist()} - {""}))
 
 
 def read_frames(

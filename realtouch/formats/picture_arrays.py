@@ -138,8 +138,9 @@ class PictureArray:
             block, row = divmod(number, self.array.step)
             yield touch.encode_image(pixels(block)[row], encoding)
 
-    def described(self, *, is_clip: bool) -> str:
-        """Return how the pictures are converted; empty if they are taken as they are."""
+    @property
+    def conversions(self) -> tuple[str, str]:
+        """How the pictures are converted, as single images and in clips; empty if they are kept."""
         axes = len(self.array.shape) - (self.sensor is not None)
         top = self.divisor * _MAX_LEVEL
         applies = {
@@ -151,9 +152,7 @@ class PictureArray:
         }
         words = [text for text, is_so in applies.items() if is_so]
         parts = [", ".join([*words, "without loss"])] if words else []
-        if is_clip:
-            parts.append("pictures of clips encoded as JPEG of quality 95")
-        return "; ".join(parts)
+        return "".join(parts), "; ".join([*parts, "pictures of clips encoded as JPEG of quality 95"])
 
     def _lossless_divisor(self) -> float:
         """Return a number of which all values are multiples; InputError if 8 bits would lose some."""
@@ -195,6 +194,7 @@ class EncodedPictures:
     count: int
     picture_bytes: int
     read: Callable[[int], bytes]
+    conversions = ("", "")
 
     def __len__(self) -> int:
         return self.count
@@ -218,10 +218,6 @@ class EncodedPictures:
             except errors.ItemError as error:
                 yield error
 
-    def described(self, *, is_clip: bool) -> str:
-        """Return an empty text: the bytes are taken as they are."""
-        return ""
-
 
 Pictures = PictureArray | EncodedPictures
 OpenPictures = Callable[[store.DataFolder, str, str], Pictures]
@@ -243,16 +239,6 @@ def _read_pictures(
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield pictures of an array by their numbers."""
     return opened(home, picture.path, picture.part).contents(numbers, is_clip=picture.frames > 0)
-
-
-def described_pictures(touches: source_touches.SourceTouches, opened: OpenPictures) -> str:
-    """Return how the pictures of some touches are converted; empty if they are taken as they are."""
-    usable = touches.take(np.flatnonzero(touches.is_usable)[:1])
-    if not len(usable):
-        return ""
-    first = usable[0]
-    pictures = opened(store.open_folder(first.home), first.path, first.part)
-    return pictures.described(is_clip=first.frames > 0)
 
 
 def columns_of(

@@ -119,6 +119,9 @@ def _recordings(
     notes = [f"{bag}: pictures of {camera.facts}"]
     if camera.detail == "8UC3":
         notes.append(f"{camera.title}: 8UC3 is taken as blue, green and red, as OpenCV has it")
+    conversions = ("", "")
+    if camera.channel.kind == ros_topics.IMAGE:
+        conversions = ("pixels encoded as PNG, without loss", "pixels encoded as JPEG of quality 95")
     left_out = []
     samples = []
     for topic in topics:
@@ -152,6 +155,7 @@ def _recordings(
             int(np.mean(camera.locations[2::3])),
             time_s=time_s,
             left_out=tuple(left_out),
+            conversions=conversions,
             streams=tuple(streams),
         )
         first += len(rows)
@@ -224,12 +228,3 @@ def _read_pictures(
 
 
 read_contents = partial(source_files.pictures_by_file, _read_pictures)
-
-
-def describe_conversion(touches: source_touches.SourceTouches) -> str:
-    """Return how the pictures of some touches are converted; empty if they are stored as they are."""
-    parts = touches.listing["part"].unique().to_pylist()
-    if not any(part.startswith(ros_topics.IMAGE) for part in parts):
-        return ""
-    encoding = "JPEG of quality 95" if touches.has_clips else "PNG, without loss"
-    return f"pixels encoded as {encoding}"

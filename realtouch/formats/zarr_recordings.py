@@ -153,7 +153,13 @@ def recordings_of(
     per_frame = {array: column_types.column_of(values) for array, values in arrays_read.items()}
     source = (name, group.home.address(), group.path, part)
     whole = source_touches.Recording(
-        *source, 0, len(shown), shown.picture_bytes, per_frame=per_frame, left_out=tuple(left_out)
+        *source,
+        0,
+        len(shown),
+        shown.picture_bytes,
+        per_frame=per_frame,
+        left_out=tuple(left_out),
+        conversions=shown.conversions,
     )
     ends = episode_ends(group, len(shown))
     stated = group.json(ATTRIBUTES)
@@ -181,7 +187,6 @@ def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arra
 
 
 read_contents = partial(picture_arrays.read_contents, opened=_open_pictures)
-describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)
 
 
 def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:

@@ -132,9 +132,8 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
     notes = [*recordings.notes, *touches.notes]
     if notes:
         spec[import_options.NOTES] = list(map(wording.printable, notes))
-    description = import_sources.IMPORTS[recordings.layout].describe(every)
-    if description:
-        spec["options"][import_options.CONVERSION] = description
+    if recordings.conversion:
+        spec["options"][import_options.CONVERSION] = recordings.conversion
     pictures = {f"{_CUTS}/{name}.png": content for name, content in recordings.pictures.items()}
     return store.BuildPlan(
         kind.KIND.name,

@@ -110,6 +110,10 @@ def preview_import(
         notes.append(f"the import would stop: {too_many}")
     elif not rounds:
         notes.append("the import would be refused, as every touch would be left out")
+    pictures = recordings.conversion or "stored as they are"
+    size = touches.make_shard.image_size
+    if size is not None:
+        pictures = f"{size[1]} x {size[0]} pixels, {pictures}"
     total = sum(map(len, parts))
     if read < total:
         notes.append(f"the pictures of {read:,} of {wording.with_count(total, 'touches')} were read")
@@ -121,7 +125,7 @@ def preview_import(
         rounds,
         usable,
         touches.names,
-        _pictures_in_words(recordings, touches),
+        pictures,
         _uses(recordings, touches.extras),
         _first(touches, parts),
         list(recordings.streams),
@@ -152,12 +156,6 @@ def _in_words(value: JsonValue, touch: int) -> str:
         first = wording.printable(str(value[0]))[:_LONGEST_SHOWN]
         return f"{len(value)} entries, the first {first}"
     return wording.printable(str(value))[:_LONGEST_SHOWN]
-
-
-def _pictures_in_words(recordings: import_sources.ReadSource, touches: import_plan.Arranged) -> str:
-    words = import_sources.IMPORTS[recordings.layout].describe(recordings.touches) or "stored as they are"
-    size = touches.make_shard.image_size
-    return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
 
 def _uses(recordings: import_sources.ReadSource, extras: fields.ExtraColumns) -> list[tuple[str, str, str]]:

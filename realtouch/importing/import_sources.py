@@ -40,7 +40,7 @@ class ReadSource:
     ``streams`` says how streams of other rates fit the recordings. ``left_out`` names files and data that are
     not imported, ``notes`` the decisions that the import states. ``versions`` holds the version of each file
     with several pictures, by folder and path. It was taken before any picture was read, as a file may be
-    replaced later.
+    replaced later. ``conversion`` states how pictures are converted; empty if they are stored as they are.
     """
 
     home: store.DataFolder
@@ -54,6 +54,7 @@ class ReadSource:
     left_out: Sequence[str] = ()
     versions: Mapping[source_touches.File, Version] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    conversion: str = ""
 
 
 def versions_of(
@@ -96,6 +97,7 @@ def find_source(address: str, spec: import_options.ImportSpec) -> ReadSource:
     aligner = Aligner(spec.streams, spec.alignment, columns, own_tables)
     parts = list[source_touches.SourceTouches]()
     versions = dict[source_touches.File, Version]()
+    conversions = set[str]()
     opened = cache(store.open_folder)
     ledger = source_files.Ledger()
     for part in _read_folders(home, format_.layout, columns, spec.table, ledger):
@@ -104,6 +106,7 @@ def find_source(address: str, spec: import_options.ImportSpec) -> ReadSource:
             aligned = aligner.aligned(part)
             ledger.left_out.update(dict.fromkeys(aligned.left_out))
             parts.append(cutter.cut(aligned))
+            conversions.add(aligned.conversions[parts[-1].has_clips])
         else:
             parts.append(aligner.aligned_images(_timed(part, columns)))
     touches = source_touches.SourceTouches.joined([*parts, *cutter.unused()])
@@ -127,8 +130,9 @@ def find_source(address: str, spec: import_options.ImportSpec) -> ReadSource:
     _require(_needs_of_columns(spec, completed, aligner, cutter), format_.layout)
     touches = fields_of_whole(_checked(touches), completed)
     of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(ledger.left_out), versions)
+    conversion = "; ".join(sorted(conversions - {""}))
     return ReadSource(
-        home, format_.layout, format_.by, touches, completed, *of_cuts, notes=tuple(ledger.notes)
+        home, format_.layout, format_.by, touches, completed, *of_cuts, tuple(ledger.notes), conversion
     )
 
 
@@ -314,15 +318,13 @@ class ImportFormat:
     ``contents`` yields all pictures of each touch, encoded. ``cut`` is how recordings become touches by
     default. ``has_table`` says that a table can describe the pictures, ``names_pictures`` that ``image``
     chooses among pictures or columns. ``one_size_per_file`` says that the pictures of a file have one size.
-    ``describe`` states how pictures are converted; empty if they are stored as they are. With ``rotvec``, the
-    last three of a pose of six numbers are a rotation vector.
+    With ``rotvec``, the last three of a pose of six numbers are a rotation vector.
     """
 
     find: FindTouches
     contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
     one_size_per_file: bool = False
-    describe: Callable[[source_touches.SourceTouches], str] = lambda _touches: ""
     rotvec: bool = False
     has_table: bool = False
     names_pictures: bool = True
@@ -335,10 +337,8 @@ def _images(find: str, contents: source_files.ReadContents = source_files.conten
 
 def _recordings(find: str, cut: str = "frames", **facts: bool) -> ImportFormat:
     """Return a format of recordings whose files have pictures of one size."""
-    reader = find.partition(":")[0]
-    describe = kind.lazy(f"realtouch.formats.{reader}:describe_conversion")
-    contents = kind.lazy(f"realtouch.formats.{reader}:read_contents")
-    return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents, cut, True, describe, **facts)
+    contents = kind.lazy(f"realtouch.formats.{find.partition(':')[0]}:read_contents")
+    return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents, cut, True, **facts)
 
 
 IMPORTS: dict[str, ImportFormat] = {

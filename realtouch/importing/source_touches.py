@@ -403,6 +403,8 @@ class Recording:
         Data of the recording that are not imported, each with its shape or the reason.
     is_at_stated_rate : bool
         Whether its times follow from the rate that its file states, which is often not that of the camera.
+    conversions : tuple of str
+        How its pictures are converted, as single images and in clips; empty if they are stored as they are.
     streams : tuple of Stream
         Samples that its file holds beside the pictures, with times of the same clock.
     """
@@ -423,6 +425,7 @@ class Recording:
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
     is_at_stated_rate: bool = False
+    conversions: tuple[str, str] = ("", "")
     streams: tuple[Stream, ...] = ()
 
     def location(self, start: int, stop: int) -> PictureLocation:

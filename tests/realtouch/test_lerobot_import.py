@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.formats.lerobot_import import describe_conversion, find_lerobot
+from realtouch.formats.lerobot_import import find_lerobot
 from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording, SourceTouches, touches_of
@@ -67,7 +67,7 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
     items = SourceTouches.joined([touches_of(recording, "frames") for recording in recordings])
     backwards = list(IMPORTS["lerobot"].contents(items[::-1]))
     assert backwards == [picture for recording in recordings for picture in pictures(recording)][::-1]
-    assert bool(describe_conversion(items)) == (dtype == "video")
+    assert {bool(recording.conversions[1]) for recording in recordings} == {dtype == "video"}
 
 
 @pytest.mark.parametrize(("version", "dtype"), KINDS)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.formats.media_files import describe_conversion, find_video
+from realtouch.formats.media_files import find_video
 from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording, touches_of
@@ -109,8 +109,8 @@ def test_decoded_pictures_are_those_of_ffmpeg_at_their_times(name: str, tmp_path
         assert isinstance(each, bytes), each
         assert psnr_db(decode_image(each), wanted) > LEAST_PSNR_OF_JPEG_DB
         assert psnr_db(decode_image(each), picture(number)) > LEAST_PSNR_DB
-    assert "decoded, stored as JPEG of quality 95" in found.part
-    assert ("10 bits rounded to 8" in found.part) == name.startswith("10")
+    assert "decoded, stored as JPEG of quality 95" in found.conversions[0]
+    assert ("10 bits rounded to 8" in found.conversions[0]) == name.startswith("10")
 
 
 @pytest.mark.one_at_a_desk
@@ -131,7 +131,7 @@ def test_pictures_do_not_depend_on_how_they_are_divided(name: str, tmp_path: Pat
 def test_lossless_pictures_stay_so(name: str, tmp_path: Path) -> None:
     path = made(tmp_path, name, 8)
     (found,) = recordings(path)
-    assert "stored as PNG" in found.part
+    assert "stored as PNG" in found.conversions[0]
     for number, each in enumerate(IMPORTS["video"].contents(touches_of(found, "frames"))):
         np.testing.assert_array_equal(decode_image(each), picture(number))
 
@@ -147,7 +147,7 @@ def test_the_jpegs_of_mjpeg_are_kept(ending: str, tmp_path: Path) -> None:
     if ending == "avi":  # which takes no decoder
         with pytest.MonkeyPatch.context() as patch:
             patch.setitem(sys.modules, "av", None)
-            assert describe_conversion(touches_of(recordings(path)[0], "whole")) == ""
+            assert recordings(path)[0].conversions == ("", "")
     assert call("realtouch", "import", path, "--out", tmp_path / "images", "--cut", "frames") == 0
     images = realtouch.load(tmp_path / "images", "train")[0].sensor_image
     assert [bytes(images.encoded(number)) for number in range(len(images))] == packets_of(path)
@@ -204,7 +204,7 @@ def test_jpegs_are_found_by_the_chunks_of_an_avi(name: str, tmp_path: Path) -> N
     assert pictures_of(tmp_path / "a.avi") == jpegs
     (found,) = recordings(tmp_path)
     np.testing.assert_allclose(found.time_s, np.array(slots) / FPS, rtol=0, atol=1e-9)
-    assert found.part == ""
+    assert found.conversions[0] == ""
 
 
 def test_an_index_names_packed_and_plain_pictures_and_sound() -> None:
@@ -234,7 +234,7 @@ def test_a_recorder_that_was_killed_leaves_its_whole_pictures(killed: str, tmp_p
     (tmp_path / "a.avi").write_bytes(content)
     assert pictures_of(tmp_path / "a.avi") == JPEGS[: 8 if cut_bytes else 9]
     (found,) = recordings(tmp_path)
-    assert found.part == "cut short; read up to the last whole picture"
+    assert found.conversions[0] == "cut short; read up to the last whole picture"
 
 
 def test_a_long_avi_takes_little_memory(tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ def test_pictures_that_an_edit_list_hides_are_not_shown(tmp_path: Path) -> None:
     path.write_bytes(content[: at + 4] + struct.pack(">i", hidden) + content[at + 8 :])
     pictures = pictures_of(path)
     assert len(pictures) == COUNT - 15
-    assert "cut short" not in recordings(path)[0].part
+    assert "cut short" not in recordings(path)[0].conversions[0]
     for number, each in enumerate(pictures, 15):
         assert isinstance(each, bytes)
         assert psnr_db(decode_image(each), picture(number)) > LEAST_PSNR_DB
@@ -311,7 +311,7 @@ def test_a_file_that_was_cut_gives_its_whole_pictures(tmp_path: Path) -> None:
             pictures.popitem()
         assert all(isinstance(each, ItemError) or each == whole[at] for at, each in pictures.items())
         assert 10 < sum(isinstance(each, bytes) for each in pictures.values()) < COUNT
-        assert ("cut short" in found.part) == (not name.startswith("h264"))
+        assert ("cut short" in found.conversions[0]) == (not name.startswith("h264"))
         path.unlink()
 
 
@@ -403,7 +403,7 @@ def test_conversions_of_gray_and_alpha_are_reported(tmp_path: Path) -> None:
     ):
         (tmp_path / "a.mkv").write_bytes(mp4(codec, pixel_format, "matroska"))
         (found,) = recordings(tmp_path)
-        assert words in found.part
+        assert words in found.conversions[0]
 
 
 def test_without_a_decoder_only_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
