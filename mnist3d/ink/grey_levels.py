@@ -10,9 +10,8 @@ from functools import lru_cache
 from typing import NoReturn
 
 import numpy as np
+import scipy  # loads its parts when they are used: those of pictures take a third of a second
 from PIL import Image
-from scipy import ndimage
-from scipy.sparse import csr_array
 
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.errors import ItemError
@@ -266,8 +265,8 @@ def is_graphic(colours: UInt8) -> bool:
 
 def loses_colours(difference: UInt8, dark: Bool) -> bool:
     """Return whether parts that differ from the paper are not in the ink that grey levels show."""
-    lost = (difference >= DIFFERENT) & ~ndimage.binary_dilation(dark, iterations=_EDGE_PX)
-    return bool(np.count_nonzero(ndimage.binary_opening(lost, _SQUARE)) > _LOST * lost.size)
+    lost = (difference >= DIFFERENT) & ~scipy.ndimage.binary_dilation(dark, iterations=_EDGE_PX)
+    return bool(np.count_nonzero(scipy.ndimage.binary_opening(lost, _SQUARE)) > _LOST * lost.size)
 
 
 def ink_of_colours(difference: UInt8) -> UInt8:
@@ -277,14 +276,14 @@ def ink_of_colours(difference: UInt8) -> UInt8:
     coloured parts are ink however light they are.
     """
     side = 2 * _EDGE_PX + 1
-    beside = np.maximum(ndimage.maximum_filter(difference, side), DIFFERENT).astype(np.float32)
+    beside = np.maximum(scipy.ndimage.maximum_filter(difference, side), DIFFERENT).astype(np.float32)
     levels = np.rint(255 * np.clip(1 - difference / beside, 0, 1)).astype(np.uint8)
-    spread = ndimage.maximum_filter(difference, 3) - ndimage.minimum_filter(difference, 3)
-    even = ndimage.maximum_filter((difference >= DIFFERENT) & (spread <= _EVEN), 3)
+    spread = scipy.ndimage.maximum_filter(difference, 3) - scipy.ndimage.minimum_filter(difference, 3)
+    even = scipy.ndimage.maximum_filter((difference >= DIFFERENT) & (spread <= _EVEN), 3)
     # Between a light part and its dark outline, the edge of the outline belongs to neither.
     inked = even | (levels < 128)
-    filled = ndimage.binary_closing(inked, iterations=_EDGE_PX) & (difference >= DIFFERENT)
-    levels[filled & ~(levels < 128) & ndimage.binary_dilation(even, iterations=_EDGE_PX)] = 0
+    filled = scipy.ndimage.binary_closing(inked, iterations=_EDGE_PX) & (difference >= DIFFERENT)
+    levels[filled & ~(levels < 128) & scipy.ndimage.binary_dilation(even, iterations=_EDGE_PX)] = 0
     return levels
 
 
@@ -297,7 +296,7 @@ def colourfulness(reflectances: Float32) -> Float32:
         Channels divided by the paper around each pixel; paper is 1 in each.
     """
     # A blur of a pixel removes the noise of cameras, which is coloured.
-    smooth = [ndimage.gaussian_filter(channel, 1.0) for channel in reflectances]
+    smooth = [scipy.ndimage.gaussian_filter(channel, 1.0) for channel in reflectances]
     return np.asarray(np.max(smooth, axis=0) - np.min(smooth, axis=0), np.float32)
 
 
@@ -361,13 +360,13 @@ def _cubic_basis(count: int, at: Floating) -> Floating:
     return basis
 
 
-def _both_ways(down: csr_array, across: csr_array, values: AnyArray) -> Float32:
+def _both_ways(down: scipy.sparse.csr_array, across: scipy.sparse.csr_array, values: AnyArray) -> Float32:
     return np.ascontiguousarray((down @ (across @ values.T).T), dtype=np.float32)
 
 
 # Both matrices depend on sizes only, and cost more to build than to use. Most sources have one size.
 @lru_cache(maxsize=8)
-def _spline_matrix(count: int) -> csr_array:
+def _spline_matrix(count: int) -> scipy.sparse.csr_array:
     knots = _cubic_basis(count, np.arange(count, dtype=np.float64))
     fine = _cubic_basis(count, _centres(count, count * _MESH))
     return _sparse(_solved(knots.T, fine.T).T)
@@ -389,17 +388,17 @@ def _solved(matrix: Floating, right: Floating) -> Floating:
 
 
 @lru_cache(maxsize=8)
-def _blur_matrix(count: int, out: int) -> csr_array:
+def _blur_matrix(count: int, out: int) -> scipy.sparse.csr_array:
     fine = count * _MESH
     distance = (_centres(fine, out)[:, None] - np.arange(fine)) / (_BLUR_PX * _MESH)
     return _sparse(exp_neg(0.5 * distance * distance))
 
 
-def _sparse(weights: Floating) -> csr_array:
+def _sparse(weights: Floating) -> scipy.sparse.csr_array:
     """Keep the weights that matter, and scale each row to a sum of 1.
 
     Sparse products sum in a fixed order. The order of dense products depends on the number of threads, so the
     same image would give other bytes on a busy machine.
     """
     near = np.where(np.abs(weights) > 1e-5, weights, 0)
-    return csr_array((near / near.sum(axis=1, keepdims=True)).astype(np.float32))
+    return scipy.sparse.csr_array((near / near.sum(axis=1, keepdims=True)).astype(np.float32))

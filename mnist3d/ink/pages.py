@@ -11,9 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 from scipy import ndimage
-from skimage.measure import find_contours
-from skimage.morphology import convex_hull_image
-from skimage.transform import hough_line, hough_line_peaks
+from skimage import measure, morphology, transform  # load their parts when they are used
 
 from mnist3d.ink.grey_levels import refuse
 from tactile_toolkit.value_types import Bool, Float32, Int32, Int64, UInt8
@@ -132,7 +130,7 @@ def find_page(darkest: UInt8) -> Bool:
         if sizes[largest] < _SHARE * tone.size:
             continue
         part = ndimage.binary_fill_holes(labels == largest)
-        hull = convex_hull_image(part)  # type: ignore[no-untyped-call]
+        hull = morphology.convex_hull_image(part)  # type: ignore[no-untyped-call]
         if part.all() or part.sum() < _CONVEX * hull.sum():
             continue
         step, sharpness = _step_at_outline(tone_px, part)
@@ -147,7 +145,7 @@ def _step_at_outline(tone_px: Float32, part: Bool) -> tuple[float, float]:
     Ink that crosses the outline, and objects on the desk, affect only a small part of it.
     """
     soft = ndimage.gaussian_filter(part.astype(np.float32), 1.5)
-    lines = find_contours(part.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]
+    lines = measure.find_contours(part.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]
     points = np.concatenate(lines).T
     shape = np.array(part.shape)[:, None]
     factor = reduction(tone_px.shape)
@@ -303,8 +301,8 @@ def _level_lines(mask: Bool, page: Bool) -> _Lines:
     page_px = int(page.any(axis=0).sum())
     if thin.sum() < _COVERED * page_px:
         return _Lines(lines, thickness_px)
-    votes, turns, distances = hough_line(thin, np.pi / 2 + _TURNS_RAD)  # type: ignore[no-untyped-call]
-    _, turns, distances = hough_line_peaks(  # type: ignore[no-untyped-call]
+    votes, turns, distances = transform.hough_line(thin, np.pi / 2 + _TURNS_RAD)  # type: ignore[no-untyped-call]
+    _, turns, distances = transform.hough_line_peaks(  # type: ignore[no-untyped-call]
         votes, turns, distances, min_distance=5, min_angle=8, threshold=_VOTES * page_px
     )
     columns = np.arange(width)

@@ -13,7 +13,6 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from mnist3d.ink import photographs
 from mnist3d.ink.grey_levels import (
     MAX_DRAWN,
     MAX_INK,
@@ -163,6 +162,8 @@ def picture_levels(
         three quarters of the margin are on one side of the threshold; ``"all-ink"`` or ``"cut-off"`` when
         there is too much ink; and those of ``mnist3d.ink.photographs.even_out``.
     """
+    from mnist3d.ink import photographs  # scipy, which takes half a second to import; only pictures need it
+
     flat = _over_paper(picture, ink) if picture.mode == "RGBA" else picture
     grey = _brightness(flat, picture_name)
     colours = np.asarray(flat) if flat.mode == "RGB" else grey
