@@ -11,6 +11,7 @@ links to one file: what is measured opens files or lists them, whatever is in th
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import resource
@@ -107,7 +108,7 @@ def fabricate(folder: Path, shards: int) -> None:
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store import ShardName, open_folder
     from tactile_toolkit.store.manifest import write_manifest
-    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
+    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 
     made = generate(DigitSetSpec(SyntheticSource(), limit=1), folder, ("train",))
     (record,) = made.shards
@@ -121,7 +122,7 @@ def fabricate(folder: Path, shards: int) -> None:
     content = encode_parquet(rows.set_column(place, "shard", [[str(name) for name in names]]), REPORT_STYLE)
     (folder / REPORT_FILE).write_bytes(content)
     records = tuple(msgspec.structs.replace(record, file=name.data_path) for name in names)
-    manifest = replace(made, shards=records, files={REPORT_FILE: sha256_hex(content)})
+    manifest = replace(made, shards=records, files={REPORT_FILE: hashlib.sha256(content).hexdigest()})
     write_manifest(open_folder(str(folder)), manifest)
 
 

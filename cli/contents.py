@@ -19,8 +19,6 @@ from tactile_toolkit.wording import bytes_text, with_count
 # Imported when they are called: they import pyarrow.
 _list_folder = lazy("tactile_toolkit.sets:list_folder")
 _stored_row = lazy("tactile_toolkit.sets:stored_row")
-_count_splits = lazy("tactile_toolkit.sets:count_splits")
-_verify = lazy("tactile_toolkit.cards:verify")
 _verify_touches = lazy("realtouch:verify")
 _check_touches = lazy("realtouch:check")
 _summarise_splits = lazy("realtouch.touches.loading:summarise_splits")
@@ -74,7 +72,7 @@ def _print_published(sink: output.Sink) -> None:
 def info(
     *,
     name: str = options.argument("NAME|SENSOR", "Data set, or a sensor by its folder or name."),
-    split: str | None = catalog.SPLIT,
+    split: str | None = catalog.row_option("split"),
     name_options: options.NameOptions,
     kind: str | None = options.KIND,
     sink: output.Sink,
@@ -125,7 +123,7 @@ def _print_touches(sink: output.Sink, place: places.Place, split: str | None) ->
 def _print_counts(sink: output.Sink, place: places.Place, kind: DatasetKind, split: str | None) -> None:
     """Print the content of the splits of a data set without a manifest here, and its repository."""
     repository = place.download or place.repository
-    entries = _count_splits(place, kind, split)
+    entries = options.data_set(place, kind).count_splits(split)
     source: dict[str, str | None] = {"repository": None, "commit": None}
     origin = "no manifest"
     if repository:
@@ -211,7 +209,7 @@ def show(
 def verify(
     *,
     name: str = options.NAME,
-    split: str | None = catalog.SPLIT,
+    split: str | None = catalog.row_option("split"),
     quick: bool = checked_fields.switch(False, help="Read only the headers of images; decode none."),
     content: bool = checked_fields.switch(
         False, help="Also check what rows hold: solids, overlaps, faults of recordings; exit code 1."
@@ -251,16 +249,7 @@ def verify(
 
 def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, workers: int) -> JsonDict:
     """Check the files of a folder and return the document; IntegrityError if there is damage."""
-    folder = place.folder
-    if place.name.startswith("hf://") and not place.is_file:
-        folder = store.open_folder(place.name)
-    if folder is None:
-        raise InputError(
-            f"{place.name!r} is not a folder of a data set; expected one, with its manifest",
-            next="download it with --out, which checks every file",
-        )
-    manifest = place.manifest
-    result = _verify(folder, kind.schema_of(manifest), options.process_count(workers))
+    result = options.data_set(place, kind).verify(options.process_count(workers))
     problems = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     document = {
         "ok": result.ok,
@@ -277,7 +266,9 @@ def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, wor
     place.require_finished([finding.file for finding in result.findings])
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
-    next_step = f"run the same `{kind.command_of(manifest)}` with --repair, which makes damaged shards again"
+    next_step = (
+        f"run the same `{kind.command_of(place.manifest)}` with --repair, which makes damaged shards again"
+    )
     if place.download is not None:
         next_step = f"download {place.download.repo_id} there again; only damaged files are fetched"
     # Problems that no run repairs (unknown files, links, cards) state their own next step.

@@ -14,12 +14,10 @@ from cli import application, contents, options, output, runs
 from cli.options import AnySourceOptions, RunOptions, argument, out_folder
 from realtouch.kind import KIND
 from realtouch.touch_options import EXPORT_FORMATS, FRAME, TouchChoice
-from tactile_toolkit import cards, catalog, checked_fields, exchange, places, printing, store, wording
-from tactile_toolkit.cache import CacheContents
+from tactile_toolkit import cache as caches, cards, catalog, checked_fields, places, printing, store, wording
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.value_types import JsonDict
 from tactile_toolkit.wording import bytes_text, with_count
 
 _MESH_FORMATS = ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat")
@@ -41,11 +39,6 @@ def _fractions(words: str) -> tuple[float, ...]:
     return shares
 
 
-def _filters(chosen: catalog.RowFilter) -> JsonDict:
-    """Return the filters that were given, by the names of their fields."""
-    return {name: value for name, value in chosen.given().items() if value is not None}
-
-
 def select(
     *,
     name: str = options.NAME,
@@ -62,19 +55,15 @@ def select(
     tactile select real-single-64x64 --contact --out touched;
     tactile select touches --without findings.json --out clean
     """
-    filters = _filters(chosen)
-    source, kind = source_options.open_kind(sink, name)
-    make: Any = partial(exchange.select_rows, kind, source, filters, out)
-    if kind.has_touches:
-        contents.announce_fetching(sink, source, chosen.split)
-        make = partial(_select_touches, source, out, **TouchChoice(**touches).arguments(), **filters)
+    data = source_options.open_set(sink, name)
+    make: Any = partial(data.select, chosen, out)
+    if data.kind.has_touches:
+        contents.announce_fetching(sink, data.place, chosen.split)
+        wanted = {**TouchChoice(**touches).arguments(), **chosen.given()}
+        make = partial(_select_touches, data.place, out, **wanted)
     else:
-        options.refuse(touches, kind.nouns)
-        if not filters:
-            raise InputError(
-                "expected filters such as --ids", next="add --ids, --labels, --per-class or --limit"
-            )
-    manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, out)
+        options.refuse(touches, data.kind.nouns)
+    manifest = runs.make_with_progress(sink, "copying", data.kind, make, run_options, out)
     if manifest is not None:
         left_out = Counter(entry["rule"] for entry in manifest.spec["options"].get("without", ()))
         for rule, count in left_out.items():
@@ -108,22 +97,13 @@ def split(
     Examples: tactile split digits --fractions 0.8,0.2 --out parts;
     tactile split digits --ids 3,17,40-60 --out parts
     """
-    filters = _filters(chosen)
-    if filters and fractions:
-        raise InputError(
-            "was given with filters such as --ids; expected only one of them",
-            next="leave out --fractions, or the filters",
-            field="fractions",
-        )
-    if not filters and not fractions:
-        raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
-    source, kind = source_options.open_kind(sink, name)
-    parts = exchange.plan_parts(kind, source, out, fractions, seed, filters, same_objects=same_objects)
-    for folder, make in parts:
-        manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, folder)
+    data = source_options.open_set(sink, name)
+    for folder, make in data.divide(out, fractions, seed, chosen, same_objects=same_objects):
+        manifest = runs.make_with_progress(sink, "copying", data.kind, make, run_options, folder)
     if manifest is not None and manifest.spec["options"]["objects"] == "unknown":
         sink.warn(
-            f"the objects of some {kind.nouns} are not known (no object_id), so the parts may share objects"
+            f"the objects of some {data.kind.nouns} are not known (no object_id), so the parts may share "
+            "objects"
         )
 
 
@@ -142,10 +122,10 @@ def merge(
 
     Example: tactile merge digits others --out both
     """
-    sources = [source_options.open_source(sink, name) for name in names]
-    kind = sources[0].choose_kind(source_options.kind)
-    make = partial(exchange.merge_sets, kind, sources, out)
-    manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, out)
+    data = source_options.open_set(sink, names[0])
+    others = [source_options.open_source(sink, name) for name in names[1:]]
+    make = partial(data.merge, others, out)
+    manifest = runs.make_with_progress(sink, "copying", data.kind, make, run_options, out)
     if manifest is None:
         return
     merged = manifest.spec["options"]
@@ -213,14 +193,15 @@ def export(
 
     Exit code 1 if an object or plate could not be written as a solid.
     """
-    place, kind = source_options.open_kind(sink, name)
+    data = source_options.open_set(sink, name)
+    kind = data.kind
     if kind.has_touches:
         _require_format(kind, file_format, EXPORT_FORMATS)
         options.refuse(meshes, kind.nouns)
-        contents.announce_fetching(sink, place, chosen.split)
+        contents.announce_fetching(sink, data.place, chosen.split)
         plan = _plan_export(
-            *(place, out, file_format, touches.get("clip_frame"), touches.get("difference")),
-            catalog.RowFilter(**_filters(chosen)),
+            *(data.place, out, file_format, touches.get("clip_frame"), touches.get("difference")),
+            replace(chosen, split=chosen.only_split),
         )
         nouns = "touches" if file_format in ("png", "jpeg") else "rows"
         _write_rows(sink, replace(KIND, nouns=nouns), plan, out, run_options, KIND.nouns)
@@ -229,28 +210,18 @@ def export(
     options.refuse(touches, kind.nouns)
     out = str(options.parse_local_path(out))
     if file_format == "flat":
-        _write_rows(sink, kind, exchange.plan_tables(kind, place, chosen, out), out, run_options, kind.nouns)
+        _write_rows(sink, kind, data.plan_tables(chosen, out), out, run_options, kind.nouns)
         return
     options.refuse(run_options.given(), "mesh files")
-    report = printing.export(
-        place,
-        kind,
-        chosen,
-        out,
-        printing.ExportOptions(file_format, **meshes),
-        sink.progress,
+    report = data.export_meshes(
+        *(chosen, out, printing.ExportOptions(file_format, **meshes), sink.progress),
         overwrite=run_options.overwrite,
         dry_run=run_options.dry_run,
         workers=options.process_count(run_options.workers),
     )
-    _print_exported(sink, report, out, run_options.dry_run)
-
-
-def _print_exported(sink: output.Sink, report: printing.ExportReport, out: str, is_dry_run: bool) -> None:
-    """Print the exported files; exit code 1 if one could not be written as a solid."""
     sink.document({"out": out, **report.document})
     if report.removed:
-        removed = "would remove" if is_dry_run else "removed"
+        removed = "would remove" if run_options.dry_run else "removed"
         sink.info(f"{removed} plates of an earlier export: {', '.join(report.removed)}")
     sink.table(report.header, report.rows)
     if report.line:
@@ -310,11 +281,7 @@ def card(
     tactile card digits --license cc-by-4.0 --author "Ada Lovelace" --title "My digits"
     """
     place = places.open_place(folder).require_complete(may_take=False)
-    chosen = place.choose_kind(kind)
-    manifest = place.manifest
-    if chosen.needs_manifest:
-        manifest = place.require_manifest(chosen)
-    files = cards.rewrite_card(chosen, store.open_folder(folder), manifest, words)
+    files = options.data_set(place, place.choose_kind(kind)).rewrite_card(words)
     sink.document({"folder": folder, "card": files[0], "previews": files[1:]})
     sink.line(f"{folder}: wrote {', '.join(files)}; all of it matches the data")
 
@@ -333,7 +300,7 @@ def cache(
 
     Examples: tactile cache;  tactile cache --prune --unused-days 30
     """
-    before = CacheContents.now()
+    before = caches.CacheContents.now()
     removed = list[Path]()
     if prune:
         removed = before.prune(unused_days)

@@ -18,7 +18,7 @@ from cli.output import Sink
 from mnist3d import digit_options
 from mnist3d.digit_options import SPLITS, PictureReading, PrintShape, SolidSize, SplitSpec
 from mnist3d.kind import KIND
-from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run, store
+from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import bytes_text, with_count
@@ -48,8 +48,8 @@ def generate(
     ),
     images: Annotated[options.UserOptions, options.OptionsOf(digit_options.SourceOptions)],
     division: SplitSpec,
-    per_class: int | None = catalog.PER_CLASS,
-    limit: int | None = catalog.LIMIT,
+    per_class: int | None = catalog.row_option("per_class"),
+    limit: int | None = catalog.row_option("limit"),
     solid: digit_options.SolidSpec,
     words: cards.OwnerWords,
     run_options: options.GenerateOptions,
@@ -79,7 +79,7 @@ def generate(
     manifest = runs.generate_set(sink, "making digits", digits, out, splits, run_options)
     if words.given() and not run_options.dry_run:
         if manifest is not None and manifest.complete:
-            cards.rewrite_card(KIND, store.open_folder(out), manifest, words)
+            options.data_set(places.open_place(out), KIND).rewrite_card(words)
         else:
             next_step = "state the licence and other words when it is finished"
             sink.info(f"note: {out} is unfinished; next: {next_step}")
@@ -92,8 +92,8 @@ def validate(
         "NAME|FILE", "Data sets, or files of meshes.", several=True, read=options.parse_path
     ),
     source_options: options.SourceOptions,
-    split: str | None = catalog.SPLIT,
-    limit: int | None = catalog.LIMIT,
+    split: str | None = catalog.row_option("split"),
+    limit: int | None = catalog.row_option("limit"),
     unit: str | None = mesh.UNIT,
     nozzle_mm: float = real(0.4, above=0, help="Nozzle of the printer: walls need two lines of it."),
     workers: int = options.WORKERS,

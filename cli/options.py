@@ -10,7 +10,7 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
 
 import typer
 
@@ -18,8 +18,13 @@ from cli.output import Sink
 from tactile_toolkit import __version__, places, run, store
 from tactile_toolkit.checked_fields import Rule, integer, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import alternatives
+
+if TYPE_CHECKING:
+    from tactile_toolkit.sets import DataSet
+
+data_set = lazy("tactile_toolkit.sets:DataSet")  # imports pyarrow
 
 JOB = "Job options"
 """Panel of the help for options that decide how the work is done, not what is made."""
@@ -130,10 +135,11 @@ class AnySourceOptions(SourceOptions):
 
     kind: str | None = KIND
 
-    def open_kind(self, sink: Sink, name: str) -> tuple[places.Place, DatasetKind]:
-        """Open a data set by its name, and return its kind, too."""
+    def open_set(self, sink: Sink, name: str) -> DataSet:
+        """Open a data set of some kind by its name."""
         place = self.open_source(sink, name)
-        return place, place.choose_kind(self.kind)
+        opened: DataSet = data_set(place, place.choose_kind(self.kind))
+        return opened
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +176,8 @@ class RunOptions:
             "check": self.repair,
             "overwrite": self.overwrite,
         }
-        name, _, address = self.runner.partition("=")
-        if name == "ray":
-            keywords["workers"] = run.RayRunner(address or None, self.workers)
+        if self.runner != "processes":
+            keywords["workers"] = run.runner_for(self.workers, self.runner)
         if self.part is not None:
             keywords["part"] = self.part
         return keywords

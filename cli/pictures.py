@@ -31,12 +31,8 @@ class PreviewOptions(catalog.RowFilter):
         "to mesh. Touches: a round as a grid (the default), or an overlay on a map of the cell.",
     )
     # A single picture shows the first row, or those that --ids names.
-    per_class: int | None = integer(
-        None, 1, optional=True, needs=_SHEETS, panel=catalog.ROWS, help="Only the first N of each class."
-    )
-    limit: int | None = integer(
-        None, 1, optional=True, needs=_SHEETS, panel=catalog.ROWS, help="Only the first N rows of each split."
-    )
+    per_class: int | None = catalog.row_option("per_class", needs=_SHEETS)
+    limit: int | None = catalog.row_option("limit", needs=_SHEETS)
     round_number: int = integer(
         0, name="--round", panel="Touches", help="Round of touches to draw, counted from 0."
     )
@@ -89,9 +85,9 @@ def preview(
         options.refuse({**asdict(source_options), **filters}, "a single file")
         plan = DIGITS.plan_previews(name, _preview_spec(DIGITS, drawing))
     else:
-        place, kind = source_options.open_kind(sink, name)
-        plan = kind.plan_previews(place, _preview_spec(kind, drawing))
-        if kind.has_touches and not drawing.get("kinds"):
+        data = source_options.open_set(sink, name)
+        plan = data.kind.plan_previews(data.place, _preview_spec(data.kind, drawing))
+        if data.kind.has_touches and not drawing.get("kinds"):
             usual = "touches.png"
     _write(sink, plan, out or Path(usual), overwrite=overwrite, dry_run=dry_run)
 
@@ -150,14 +146,11 @@ def gallery(
 
     Examples: tactile gallery digits --out site --split test;  tactile gallery digits --per-class 1
     """
-    place, kind = source_options.open_kind(sink, name)
-    if kind.has_touches:
-        page: galleries.Gallery = kind.plan_gallery(
-            place, chosen, **({"touches": touches} if touches else {})
-        )
-    else:
-        options.refuse({"touches": touches}, kind.nouns)
-        page = kind.plan_gallery(place, chosen)
+    data = source_options.open_set(sink, name)
+    further = {"touches": touches} if touches else {}
+    if not data.kind.has_touches:
+        options.refuse(further, data.kind.nouns)
+    page: galleries.Gallery = data.kind.plan_gallery(data.place, chosen, **further)
     start_s = time.monotonic()
     try:
         with sink.progress("making the gallery", page.nouns[1]) as update:

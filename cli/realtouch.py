@@ -143,7 +143,7 @@ def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
 def check(
     *,
     name: str = options.NAME,
-    split: str | None = catalog.SPLIT,
+    split: str | None = catalog.row_option("split"),
     source_options: SourceOptions,
     limits: touch_options.CheckLimits,
     drawn: Path | None = text(
@@ -193,8 +193,8 @@ def resize(
     quality: int = checked_fields.integer(
         95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100."
     ),
-    split: str | None = catalog.SPLIT,
-    limit: int | None = catalog.LIMIT,
+    split: str | None = catalog.row_option("split"),
+    limit: int | None = catalog.row_option("limit"),
     run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
@@ -215,8 +215,8 @@ def stills(
     source_options: SourceOptions,
     out: str = out_folder(),
     clip_frame: str = touch_options.FRAME(),
-    split: str | None = catalog.SPLIT,
-    limit: int | None = catalog.LIMIT,
+    split: str | None = catalog.row_option("split"),
+    limit: int | None = catalog.row_option("limit"),
     run_options: RunOptions,
     sink: output.Sink,
 ) -> None:

@@ -10,7 +10,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from cli import options, output
-from tactile_toolkit import store, wording
+from tactile_toolkit import places, store, wording
 from tactile_toolkit.kind import DatasetKind, Facts
 from tactile_toolkit.wording import with_count
 
@@ -187,7 +187,7 @@ def print_set(
 
 def _print_unfinished(sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str) -> None:
     """Print what is under way in a folder, or was interrupted, and how to continue it."""
-    record = store.read_download_record(store.open_folder(out))
+    record = places.open_place(out).download
     activity = "run"
     next_step = f"run the same `{kind.command_of(manifest)}` again, or add --finish to list missing shards"
     if record is not None:

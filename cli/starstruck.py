@@ -30,7 +30,7 @@ def generate(
     ),
     scene: SceneOptions,
     seed: int = checked_fields.integer(0, help="Random seed."),
-    limit: int | None = catalog.LIMIT,
+    limit: int | None = catalog.row_option("limit"),
     run_options: options.GenerateOptions,
     sink: output.Sink,
 ) -> None:
@@ -60,8 +60,8 @@ def validate(
     *,
     name: str = options.NAME,
     source_options: options.SourceOptions,
-    split: str | None = catalog.SPLIT,
-    limit: int | None = catalog.LIMIT,
+    split: str | None = catalog.row_option("split"),
+    limit: int | None = catalog.row_option("limit"),
     workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:

@@ -71,7 +71,7 @@ def generate(
     if "touch_table" in plan and plan.get("positions", "cell") == "cell":
         plan["positions"] = "given"
     filters = chosen.given()
-    split = filters.pop("split")
+    split = filters.pop("split", None)
     spec = spec_of(sink, picture, plan=TouchPlan(**plan), press=press_of(press), **filters)
     make = partial(tactile_sim.TouchGenerator.of, objects, spec, unit)
     _generate(sink, make, objects, source_options, out, split, run_options)
@@ -118,7 +118,7 @@ def grasp(
     After an interruption, the same command continues; finished shards are kept.
     """
     filters = chosen.given()
-    split = filters.pop("split")
+    split = filters.pop("split", None)
     spec = spec_of(sink, picture, tactile_sim.GraspSpec, **filters)
     make = partial(_lift_attempts, objects, spec, unit)
     _generate(sink, make, objects, source_options, out, split, run_options)
@@ -410,8 +410,8 @@ def depth(
         False, help="Use a faster method, with about twice the error in two fifths of the time."
     ),
     out: str = options.out_folder(),
-    split: str | None = catalog.SPLIT,
-    limit: int | None = catalog.LIMIT,
+    split: str | None = catalog.row_option("split"),
+    limit: int | None = catalog.row_option("limit"),
     run_options: options.RunOptions,
     sink: Sink,
 ) -> None:

@@ -17,7 +17,7 @@ import tactile_sim
 from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, View
+from tactile_toolkit.pictures import View
 
 HEIGHT_PX, MARGIN_PX = 480, 60
 DIGITS, SCENE = (1000, HEIGHT_PX), (360, HEIGHT_PX)
@@ -53,7 +53,7 @@ def _drawn(
     for mesh, (x_m, y_m) in bodies:
         points = mesh.vertices_m.astype(np.float64)
         points[:, :2] += np.array([x_m, y_m]) - (points[:, :2].min(0) + points[:, :2].max(0)) / 2
-        placed.append(DrawnBody(Mesh(points, mesh.faces), ImageColor.getrgb(colour)))
+        placed.append((Mesh(points, mesh.faces), ImageColor.getrgb(colour)))
     paper = ImageColor.getrgb(PAPER)
     return FROM.draw(tuple(placed), size_px, size_px[1] / height_m, paper)
 

@@ -182,10 +182,9 @@ def check_meshes(
     on_progress: Callable[[int, int], None],
 ) -> CheckedMeshes:
     """Check the rows of a data set of one mesh each; arguments and errors as of :func:`check_content`."""
-    shards = catalog.shards_to_check(opened, split, kind)
     check = partial(_inspect_row, profile=profile)
     items = []
-    for row in catalog.check_rows(shards, check, limit, workers, on_progress):
+    for row in catalog.check_rows(opened, split, kind, check, limit, workers, on_progress):
         report = row.result
         if report is None:
             row_name = f"split {row.split!r}, row {row.row} of {row.file}"

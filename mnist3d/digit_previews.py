@@ -174,9 +174,10 @@ def draw_steps(pixels: AnyArray, spec: digit_options.SolidSpec, title: str) -> U
     layers = _layers_px(lattice, steps.upper_half > 0, window)
     upper = algorithm.scale(steps.surface, mask.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
-    bodies = [pictures.DrawnBody(mesh, CLAY) for mesh in (upper, solid)]
     size_px = (_PANEL_PX, _PANEL_PX)
-    views = [pictures.View.OBLIQUE.draw([body], size_px, px_per_mm * MM_PER_M) for body in bodies]
+    views = [
+        pictures.View.OBLIQUE.draw([(part, CLAY)], size_px, px_per_mm * MM_PER_M) for part in (upper, solid)
+    ]
     pitch_px = lattice.pitch_px
     triangles = len(solid.faces)
     decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""

@@ -21,10 +21,7 @@ PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=32,
     compression="zstd",
     compression_level=3,
-    encodings=(
-        (f"{mesh.VERTICES}.list.element.list.element", "BYTE_STREAM_SPLIT"),
-        (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
-    ),
+    encodings=mesh.MeshRow.encodings("BYTE_STREAM_SPLIT"),
     chunks_by_content=True,
 )
 """32 meshes are about 6 MB unpacked: small enough to unpack for one row, large enough to compress well.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from mnist3d.solid import algorithm, picture_ink
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store, touch
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import printability, solid_check
 from tactile_toolkit.value_types import Bool, UInt8
 
 _VIEW_PX = (760, 560)
@@ -211,8 +210,7 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
         str(path), None, spec.size, changes=spec.changes, which=spec.ink, threshold=spec.threshold, page=page
     )
     part = algorithm.solid_of_ink(sized, spec.base_mm).on_plate()
-    verdict = solid_check.require_solid(part)
-    report = printability.report_of_solid(part, verdict, spec.profile)
+    report = mesh.inspect(part, spec.profile).require_solid()
     notes = sized.notes
     if spec.base_mm is not None:
         width, depth = (side - 2 * mesh.BASE_MARGIN_MM for side in report.size_mm[:2])
@@ -221,21 +219,20 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
         fewer = f"--vertices {_MANY_TRIANGLES // 4} makes fewer"
         notes = (*notes, f"it has {report.faces:,} triangles, which slow slicers down; {fewer}")
 
-    def record(_verdict: object, size: int, state: str) -> PrintedPicture:
+    def record(_volume_mm3: float, size: int, state: str) -> PrintedPicture:
         return PrintedPicture(str(path), f"{stem}{ending}", report, notes, size, state)
 
-    made = printing.Made.of_solid(stem, ending, part, record, verdict=verdict)
+    beside = {}
     if spec.preview:
-        preview = {f"{stem}{_PREVIEW}": _drawn(path.name, sized.mask, part, report)}
-        made = replace(made, files={**preview, **made.files})
-    return made
+        beside[f"{stem}{_PREVIEW}"] = _drawn(path.name, sized.mask, part, report)
+    return printing.Made.of_solid(stem, ending, part, record, beside, report)
 
 
 def _drawn(name: str, mask: Bool, part: mesh.Mesh, report: mesh.PrintReport) -> bytes:
     """Draw the ink as it was found, and the solid, as PNG."""
     sides_m = np.ptp(part.vertices_m, axis=0)
     px_per_m = 0.9 * min(_VIEW_PX[0] / (sides_m[0] + sides_m[2]), _VIEW_PX[1] / (sides_m[1] + sides_m[2]))
-    view = pictures.View.OBLIQUE.draw((pictures.DrawnBody(part, CLAY),), _VIEW_PX, px_per_m)
+    view = pictures.View.OBLIQUE.draw(((part, CLAY),), _VIEW_PX, px_per_m)
     width, depth, height = report.size_mm
     words = f"{width:.1f} x {depth:.1f} x {height:.1f} mm, {report.volume_mm3:,.0f} mm³"
     drawn = pictures.sheet(

@@ -74,7 +74,7 @@ def plan_gallery(
         contact = np.split(rows.touches().in_contact(), starts)
         return [(touches, *of_round) for of_round in zip(heights_m, contact, strict=True)]
 
-    split = chosen.given()["split"]
+    split = chosen.only_split
     data_set = places.open_place(name).require(kind.KIND, "tactile gallery").require_complete(split)
     schema = data_set.shards(split or data_set.splits[0])[0].schema
     title = f"{origin_of(schema, data_set.manifest)} touches".capitalize()

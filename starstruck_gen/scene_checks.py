@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -97,44 +97,41 @@ def check_content(
     shard is damaged or the run that makes the data set is not finished.
     """
     opened = places.open_place(source)
-    shards = catalog.shards_to_check(opened, split, KIND)
-    names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
-    rows = catalog.check_rows(
-        shards,
-        partial(_check_row, names=names),
-        limit,
-        workers,
-        on_progress,
-        _COLUMNS,
-    )
+    rows = catalog.check_rows(opened, split, KIND, _check_row, limit, workers, on_progress, _COLUMNS)
     failures = []
     bodies = 0
     stars = 0
+    declares = False
     for row in rows:
         null = f"field {row.null_field!r} of row {row.row} is null; expected a value"
-        problem, standing, declared = row.result or (null, 0, 0)
+        problem, standing, declared = row.result or (null, 0, None)
+        declares |= declared is not None
         if problem is None:
-            bodies = bodies + standing
-            stars = stars + declared
+            bodies += standing
+            stars += declared or 0
         else:
             number = _NO_ID if row.id is None else row.id
             failures.append(InvalidScene(row.split, number, problem))
-    declares = any("placements" in read.column_names(shard.schema) for _, shard in shards)
     return CheckedScenes(opened.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
-def _check_row(row: read.Row, names: Mapping[str, Sequence[str]]) -> tuple[str | None, int, int]:
-    """Return the problem of a scene (or None), its number of bodies, and that of its declared stars."""
+def _check_row(row: read.Row) -> tuple[str | None, int, int | None]:
+    """Return the problem of a scene (or None), its number of bodies, and its stars if they are declared."""
     record = scene_dataset.SceneRecord(row)
-    stars = 0
+    stars = 0 if record.has_placements else None
     try:
-        problem, bodies = check_scene(record, names[row.path])
-        if record.has_placements:
+        problem, bodies = check_scene(record, _class_names(row.path))
+        if stars is not None:
             stars = record.star_count
         return problem, bodies, stars
     except (ToolkitError, TypeError, ValueError, OverflowError) as error:
         # Columns of other types, and unknown shapes.
-        return f"cannot be read as a scene: {error}", 0, 0
+        return f"cannot be read as a scene: {error}", 0, stars
+
+
+@lru_cache(1)
+def _class_names(path: str) -> tuple[str, ...]:
+    return read.class_names(read.Shard(path).schema, KIND.class_names)
 
 
 def check_scene(

@@ -35,18 +35,16 @@ DEFAULT_SIZE = 300_000
 _MADE_TOGETHER = 4096  # rows that training shuffles as it does those of a shard
 # Columns that follow from the number of a scene.
 _KNOWN = ("id", "label", "star_count", "seed")
+_SURFACE = pictures.DrawnSolid.drawn_columns
 
 PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=1_000,
     compression="zstd",
     # Level 9: scenes are small and repeat the triangles of their shapes.
     compression_level=9,
-    encodings=(
-        # Each corner occurs twice, on the plate and above it. zstd finds the pair in plain bytes; encodings
-        # that split numbers hide it.
-        (f"{mesh.VERTICES}.list.element.list.element", "PLAIN"),
-        (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
-    ),
+    # Each corner occurs twice, on the plate and above it. zstd finds the pair in plain bytes; encodings that
+    # split numbers hide it.
+    encodings=mesh.MeshRow.encodings("PLAIN"),
 )
 """1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
 
@@ -272,7 +270,7 @@ class SceneRecord(pictures.DrawnSolid):
 
     __slots__ = ()
     is_faceted = True
-    drawn_columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
+    drawn_columns = (*_SURFACE, "star_count", "placements")
 
     @property
     def star_count(self) -> int:
@@ -516,10 +514,10 @@ class MadeScene(read.RowGroup):
 
     def ragged(self, name: str) -> read.RaggedColumn:
         """Return the vertices or the faces."""
-        if name not in (mesh.VERTICES, mesh.FACES):
+        if name not in _SURFACE:
             return super().ragged(name)
         meshes = self.once("meshes", self._built)
-        return meshes.vertices_m if name == mesh.VERTICES else meshes.faces
+        return dict(zip(_SURFACE, (meshes.vertices_m, meshes.faces), strict=True))[name]
 
     def flat(self, name: str) -> pa.ArrayArray:
         """Return a plain column of one value."""

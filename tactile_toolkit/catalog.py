@@ -19,7 +19,7 @@ from tactile_toolkit import checked_fields, mesh, places, read, run, store
 from tactile_toolkit.checked_fields import check_fields, integer, is_integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.value_types import Bool, Int64, JsonDict
+from tactile_toolkit.value_types import Bool, Int64, JsonDict, JsonValue
 from tactile_toolkit.wording import comma_separated
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
@@ -27,12 +27,23 @@ IdOrRange: TypeAlias = int | str | tuple[int, int]
 """An id, or the first and the last id of a range."""
 IdChoice: TypeAlias = Sequence[IdOrRange]
 
-ROWS = "Rows"
-"""Panel of the help for options that choose rows."""
-# Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
-SPLIT = text(metavar="NAME", panel=ROWS, help="Only this split; all by default.")
-LIMIT = integer(None, 1, optional=True, panel=ROWS, help="Only the first N rows of each split.")
-PER_CLASS = integer(None, 1, optional=True, panel=ROWS, help="Only the first N of each class, in each split.")
+_ROWS = "Rows"  # panel of the help
+_ROW_OPTIONS: dict[str, Callable[..., checked_fields.Declared]] = {
+    "split": partial(text, metavar="NAME", help="Only this split; all by default."),
+    "limit": partial(integer, None, 1, optional=True, help="Only the first N rows of each split."),
+    "per_class": partial(
+        integer, None, 1, optional=True, help="Only the first N of each class, in each split."
+    ),
+}
+
+
+def row_option(field: str, **option: JsonValue) -> checked_fields.Declared:
+    """Declare one of the options ``split``, ``limit`` and ``per_class``, by which rows are chosen.
+
+    ``option`` are further facts, as of :class:`~tactile_toolkit.checked_fields.OptionText`.
+    """
+    return _ROW_OPTIONS[field](panel=_ROWS, **option)
+
 
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
 C = TypeVar("C", bound=Any)
@@ -97,24 +108,95 @@ class RowFilter:
     ALL: ClassVar[RowFilter]
     """Takes all objects."""
 
-    split: str | None = SPLIT
+    split: str | None = row_option("split")
     ids: IdChoice | None = text(
         name="--ids",
         metavar="3,17,40-60",
-        panel=ROWS,
+        panel=_ROWS,
         read=parse_ids,
         help="Only the objects with these ids.",
     )
     labels: Sequence[str] | None = text(
-        metavar="3,7", panel=ROWS, read=comma_separated, help="Only the objects of these classes."
+        metavar="3,7", panel=_ROWS, read=comma_separated, help="Only the objects of these classes."
     )
-    per_class: int | None = PER_CLASS
-    limit: int | None = LIMIT
+    per_class: int | None = row_option("per_class")
+    limit: int | None = row_option("limit")
+
+    @property
+    def only_split(self) -> str | None:
+        """The only split; None for all."""
+        return None if self.split == "all" else self.split
 
     def given(self) -> JsonDict:
-        """Return the options by name; the split ``all`` becomes None."""
+        """Return the options that restrict the choice, by name."""
         named = {option.name: getattr(self, option.name) for option in fields(RowFilter)}
-        return {**named, "split": None if self.split == "all" else self.split}
+        named["split"] = self.only_split
+        return {name: value for name, value in named.items() if value is not None}
+
+    def open(self, source: places.Place, kind: DatasetKind) -> list[tuple[str, Any, Int64]]:
+        """Open the splits of a data set and choose rows by :meth:`choose`; splits without rows are left out.
+
+        Raises InputError if the split does not exist or is empty, IntegrityError if it is not finished.
+        """
+        source.require_complete(self.only_split)
+        chosen = source.chosen_splits(self.only_split)
+        opened = {name: kind.load(source, name) for name in chosen}
+        filled = {name: rows for name, rows in opened.items() if len(rows)}
+        if not filled:
+            raise InputError(
+                f"{', '.join(chosen)} of {source.name!r}: no {kind.nouns}",
+                next="generate some, or choose another split",
+            )
+        return self.choose(filled.items())
+
+    def choose(self, datasets: Iterable[tuple[str, C]]) -> list[tuple[str, C, Int64]]:
+        """Choose rows of splits, each with its name; return those with their positions, in order.
+
+        The object of a row must have one of the ids and one of the classes. A pair of ids means all
+        numbers from its first to its last; a text is also the id of a row, such as a round of touches. Among
+        these rows, the first ``per_class`` of each class are taken, then the first ``limit`` of each split.
+        Raises InputError if an id, a range or a class matches no row, or no row is left.
+        """
+        import numpy as np
+
+        asked = list(checked_fields.to_builtin(() if self.ids is None else self.ids))
+        is_met = np.zeros(len(asked), bool)
+        choices = []
+        for split, rows in datasets:
+            is_chosen = np.ones(len(rows), bool)
+            if self.ids is not None:
+                inside = np.zeros((len(asked), len(rows)), bool)
+                for number, asked_id in enumerate(asked):
+                    inside[number] = _with_id(rows, asked_id)
+                is_chosen = np.any(inside, axis=0)
+                is_met = is_met | np.any(inside, axis=1)
+            if self.labels is not None:
+                classes = list(rows.label_names)
+                unknown = [label for label in self.labels if label not in classes]
+                if unknown:
+                    known = ", ".join(classes) or "none: it has no labels"
+                    raise InputError(f"no class {unknown[0]!r} in split {split!r}; expected one of {known}")
+                is_chosen &= np.isin(rows.labels, [classes.index(label) for label in self.labels])
+            chosen = np.flatnonzero(is_chosen)
+            if self.per_class is not None:
+                kinds = rows.labels[chosen]
+                kept = [chosen[kinds == label][: self.per_class] for label in np.unique(kinds)]
+                chosen = np.sort(np.concatenate([chosen[:0], *kept]))
+            choices.append((split, rows, chosen[: self.limit]))
+        absent = [asked[index] for index in np.flatnonzero(~is_met)]
+        if absent:
+            what = f"id {id_text(absent[0])}"
+            if isinstance(absent[0], tuple) and absent[0][0] != absent[0][1]:
+                what = f"an id from {absent[0][0]} to {absent[0][1]}"
+            raise InputError(
+                f"no object with {what} in what was chosen",
+                next="check the ids of the split, or name another --split",
+            )
+        if not any(len(chosen) for _, _, chosen in choices):
+            raise InputError(
+                "no object is chosen; expected rows of the split with the ids and classes that were asked for"
+            )
+        return choices
 
 
 RowFilter.ALL = RowFilter()
@@ -134,80 +216,6 @@ class PreviewSpec(RowFilter):
 
     def __post_init__(self) -> None:
         check_fields(self, "the previews")
-
-
-def open_splits(source: places.Place, split: str | None, kind: DatasetKind) -> dict[str, Any]:
-    """Open one split of a data set, or all of them; those without rows are left out.
-
-    Raises InputError if the split does not exist or is empty, IntegrityError if it is not finished.
-    """
-    source.require_complete(split)
-    chosen = source.chosen_splits(split)
-    opened = {name: kind.load(source, name) for name in chosen}
-    filled = {name: rows for name, rows in opened.items() if len(rows)}
-    if not filled:
-        raise InputError(
-            f"{', '.join(chosen)} of {source.name!r}: no {kind.nouns}",
-            next="generate some, or choose another split",
-        )
-    return filled
-
-
-def choose_rows(
-    datasets: Iterable[tuple[str, C]],
-    *,
-    ids: IdChoice | None = None,
-    labels: Sequence[str] | None = None,
-    per_class: int | None = None,
-    limit: int | None = None,
-) -> list[tuple[str, C, Int64]]:
-    """Choose rows of splits, each with its name; return those with their positions, in order.
-
-    The object of a row must have one of these ``ids`` and one of these classes. A pair of ids means all
-    numbers from its first to its last; a text is also the id of a row, such as a round of touches. Among
-    these rows, the first ``per_class`` of each class are taken, then the first ``limit`` of each split.
-    Raises InputError if an id, a range or a class matches no row, or no row is left.
-    """
-    import numpy as np
-
-    asked = list(checked_fields.to_builtin(() if ids is None else ids))
-    is_met = np.zeros(len(asked), bool)
-    choices = []
-    for split, rows in datasets:
-        is_chosen = np.ones(len(rows), bool)
-        if ids is not None:
-            inside = np.zeros((len(asked), len(rows)), bool)
-            for number, asked_id in enumerate(asked):
-                inside[number] = _with_id(rows, asked_id)
-            is_chosen = np.any(inside, axis=0)
-            is_met = is_met | np.any(inside, axis=1)
-        if labels is not None:
-            classes = list(rows.label_names)
-            unknown = [label for label in labels if label not in classes]
-            if unknown:
-                known = ", ".join(classes) or "none: it has no labels"
-                raise InputError(f"no class {unknown[0]!r} in split {split!r}; expected one of {known}")
-            is_chosen &= np.isin(rows.labels, [classes.index(label) for label in labels])
-        chosen = np.flatnonzero(is_chosen)
-        if per_class is not None:
-            kinds = rows.labels[chosen]
-            kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
-            chosen = np.sort(np.concatenate([chosen[:0], *kept]))
-        choices.append((split, rows, chosen[:limit]))
-    absent = [asked[index] for index in np.flatnonzero(~is_met)]
-    if absent:
-        what = f"id {id_text(absent[0])}"
-        if isinstance(absent[0], tuple) and absent[0][0] != absent[0][1]:
-            what = f"an id from {absent[0][0]} to {absent[0][1]}"
-        raise InputError(
-            f"no object with {what} in what was chosen",
-            next="check the ids of the split, or name another --split",
-        )
-    if not any(len(chosen) for _, _, chosen in choices):
-        raise InputError(
-            "no object is chosen; expected rows of the split with the ids and classes that were asked for"
-        )
-    return choices
 
 
 def _with_id(rows: Any, choice: IdOrRange) -> Bool:
@@ -238,29 +246,6 @@ class CheckedRow(Generic[T]):
     null_field: str = ""
 
 
-def shards_to_check(
-    name: places.Name | places.Place, split: str | None, kind: DatasetKind
-) -> list[tuple[str, read.Shard]]:
-    """Return the files of a data set of meshes of a kind, each with its split.
-
-    Raises InputError if there is none, IntegrityError if a shard is damaged or missing, or if the data set is
-    unfinished: a check of the rest must not look like one of all.
-    """
-    source = (
-        places.open_place(name)
-        .require(kind, f"{kind.made_by.partition(' ')[0]} validate")
-        .require_complete(split)
-    )
-    shards = [
-        (split_name, shard)
-        for split_name in source.chosen_splits(split)
-        for shard in source.shards(split_name, kind=kind)
-    ]
-    for _, shard in shards:
-        mesh.require_mesh_columns(shard.schema, source.name, kind.made_by)
-    return shards
-
-
 class _Part(NamedTuple):
     """The first rows of a row group, and its number among all."""
 
@@ -272,27 +257,37 @@ class _Part(NamedTuple):
 
 
 def check_rows(
-    shards: Sequence[tuple[str, read.Shard]],
+    source: places.Place,
+    split: str | None,
+    kind: DatasetKind,
     check: Callable[[read.Row], T],
     limit: int | None,
     workers: int,
     on_progress: Callable[[int, int], None],
     columns: Sequence[str] = (),
 ) -> list[CheckedRow[T]]:
-    """Check rows in several processes and return the results, in the order of the rows.
+    """Check rows of a data set of meshes of a kind in several processes; return the results in their order.
 
     ``check``, which must be picklable, takes each row in which no column of a mesh, and none of ``columns``,
     is null at any depth. With ``limit`` only the first rows of each split are checked. ``on_progress`` gets
     the number of checked rows and the total.
+
+    Raises InputError if there is no row of the kind, IntegrityError if a shard is damaged or missing, or if
+    the data set is unfinished: a check of the rest must not look like one of all.
     """
+    source.require(kind, f"{kind.made_by.partition(' ')[0]} validate").require_complete(split)
+    of_splits = {name: source.shards(name, kind=kind) for name in source.chosen_splits(split)}
+    shards = [(name, shard) for name, of_split in of_splits.items() for shard in of_split]
+    for _, shard in shards:
+        mesh.require_mesh_columns(shard.schema, source.name, kind.made_by)
     parts: list[_Part] = []
-    left = dict.fromkeys((split for split, _ in shards), limit or math.inf)
-    for split, shard in shards:
+    left = dict.fromkeys(of_splits, limit or math.inf)
+    for name, shard in shards:
         for group, (start, stop) in enumerate(pairwise(shard.group_starts)):
-            rows = int(min(stop - start, left[split]))
-            left[split] -= rows
+            rows = int(min(stop - start, left[name]))
+            left[name] -= rows
             if rows:
-                parts.append(_Part(len(parts), split, shard, group, rows))
+                parts.append(_Part(len(parts), name, shard, group, rows))
     total = sum(part.rows for part in parts)
     done = 0
     results: dict[int, list[CheckedRow[T]]] = {}

@@ -1,14 +1,15 @@
-"""What data sets hold: those in a folder, the splits of one, and a stored row."""
+"""What the command ``tactile`` does, as functions: data sets in a folder, a stored row, checks and copies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import catalog, places, read, store
+from tactile_toolkit import cards, catalog, exchange, places, printing, read, store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.value_types import JsonDict, JsonValue
@@ -52,20 +53,6 @@ def list_folder(folder: str | Path) -> list[JsonDict]:
     return listed
 
 
-def count_splits(place: places.Place, kind: DatasetKind, split: str | None = None) -> list[JsonDict]:
-    """Return rows, shards, bytes and rows of each class of the splits of a data set, as JSON values."""
-    counted = []
-    for name, dataset in catalog.open_splits(place, split, kind).items():
-        paths = [shard.path for shard in place.shards(name)]
-        size = sum(folder.size_bytes(file) for folder, file in map(store.split_uri, paths))
-        # Not by `bincount`, which fails on negative labels; data that others made may have some.
-        labels = enumerate(dataset.label_names)
-        per_class = {label: int((dataset.labels == index).sum()) for index, label in labels}
-        counts = {"split": name, "rows": len(dataset), "shards": len(paths), "bytes": size}
-        counted.append({**counts, "per_class": per_class})
-    return counted
-
-
 @dataclass(frozen=True, slots=True)
 class StoredRow:
     """A row as it is stored.
@@ -89,12 +76,106 @@ class StoredRow:
     values: JsonDict
 
 
-def stored_row(name: places.Name | places.Place, row: int = 0, split: str | None = None) -> StoredRow:
+@dataclass(frozen=True)
+class DataSet:
+    """A data set and its kind: what every command of ``tactile`` does with one, as functions."""
+
+    place: places.Place
+    kind: DatasetKind
+
+    def count_splits(self, split: str | None = None) -> list[JsonDict]:
+        """Return rows, shards, bytes and rows of each class of the splits, as JSON values."""
+        counted = []
+        for name, dataset, _ in catalog.RowFilter(split).open(self.place, self.kind):
+            paths = [shard.path for shard in self.place.shards(name)]
+            size = sum(folder.size_bytes(file) for folder, file in map(store.split_uri, paths))
+            # Not by `bincount`, which fails on negative labels; data that others made may have some.
+            labels = enumerate(dataset.label_names)
+            per_class = {label: int((dataset.labels == index).sum()) for index, label in labels}
+            counts = {"split": name, "rows": len(dataset), "shards": len(paths), "bytes": size}
+            counted.append({**counts, "per_class": per_class})
+        return counted
+
+    def verify(self, workers: int = 1) -> store.Verification:
+        """Check every file and the card of a folder, as :func:`tactile_toolkit.cards.verify` does."""
+        folder = self.place.folder
+        if self.place.name.startswith("hf://") and not self.place.is_file:
+            folder = store.open_folder(self.place.name)
+        if folder is None:
+            raise InputError(
+                f"{self.place.name!r} is not a folder of a data set; expected one, with its manifest",
+                next="download it with --out, which checks every file",
+            )
+        return cards.verify(folder, self.kind.schema_of(self.place.manifest), workers)
+
+    def select(self, chosen: catalog.RowFilter, out: str, **run: Unpack[store.RunKeywords]) -> store.Manifest:
+        """Write chosen rows as a data set of the same kind; InputError if ``chosen`` restricts nothing."""
+        if not chosen.given():
+            raise InputError(
+                "expected filters such as --ids", next="add --ids, --labels, --per-class or --limit"
+            )
+        return exchange.select_rows(self.kind, self.place, chosen, out, **run)
+
+    def divide(
+        self,
+        out: str,
+        fractions: Sequence[float] = (),
+        seed: int = 0,
+        chosen: catalog.RowFilter = catalog.RowFilter.ALL,
+        *,
+        same_objects: bool = False,
+    ) -> list[tuple[str, Callable[..., store.Manifest]]]:
+        """Return the folders of the parts of a data set, and what writes each.
+
+        See :func:`tactile_toolkit.exchange.plan_parts`; InputError unless either ``fractions`` or ``chosen``
+        states the parts.
+        """
+        if chosen.given() and fractions:
+            raise InputError(
+                "was given with filters such as --ids; expected only one of them",
+                next="leave out --fractions, or the filters",
+                field="fractions",
+            )
+        if not chosen.given() and not fractions:
+            raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
+        return exchange.plan_parts(
+            self.kind, self.place, out, fractions, seed, chosen, same_objects=same_objects
+        )
+
+    def merge(
+        self, others: Sequence[places.Place], out: str, **run: Unpack[store.RunKeywords]
+    ) -> store.Manifest:
+        """Merge others of this kind into a new data set; see :func:`tactile_toolkit.exchange.merge_sets`."""
+        return exchange.merge_sets(self.kind, [self.place, *others], out, **run)
+
+    def plan_tables(self, chosen: catalog.RowFilter, out: str) -> store.BuildPlan:
+        """Plan Parquet tables of meshes; see :func:`tactile_toolkit.exchange.plan_tables`."""
+        return exchange.plan_tables(self.kind, self.place, chosen, out)
+
+    def export_meshes(
+        self,
+        chosen: catalog.RowFilter,
+        out: str,
+        options: printing.ExportOptions,
+        progress: printing.ShowProgress,
+        **job: Unpack[printing.FileJob],
+    ) -> printing.ExportReport:
+        """Write files for printers and simulators; see :func:`tactile_toolkit.printing.export`."""
+        return printing.export(self.place, self.kind, chosen, out, options, progress, **job)
+
+    def rewrite_card(self, words: cards.OwnerWords) -> list[str]:
+        """Write the card of a finished folder again; see :func:`tactile_toolkit.cards.rewrite_card`."""
+        manifest = self.place.require_complete(may_take=False).manifest
+        if self.kind.needs_manifest:
+            manifest = self.place.require_manifest(self.kind)
+        return cards.rewrite_card(self.kind, store.open_folder(self.place.name), manifest, words)
+
+
+def stored_row(place: places.Place, row: int = 0, split: str | None = None) -> StoredRow:
     """Return a row of a data set of any kind, or of Parquet files of others.
 
     ``split`` is the first by default. Raises InputError if there is no such row or split.
     """
-    place = places.open_place(name)
     chosen = split or place.require_complete().splits[0]
     rows = read.ShardedTable(place.shards(chosen))
     if row >= len(rows):

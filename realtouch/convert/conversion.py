@@ -119,13 +119,8 @@ def chosen_rows(source: loading.Source, rows: catalog.RowFilter) -> dict[str, li
             f"{source.name!r} has no column 'object_id'",
             next="choose by --labels, or import it again with --map object=COLUMN",
         )
-    chosen = catalog.choose_rows(
-        by_split.items(),
-        ids=rows.ids,
-        labels=rows.labels and [_label_name(label, names) for label in rows.labels],
-        per_class=rows.per_class,
-        limit=rows.limit,
-    )
+    labels = rows.labels and [_label_name(label, names) for label in rows.labels]
+    chosen = replace(rows, labels=labels).choose(by_split.items())
     return {split: list(map(RowChoice, numbers.tolist())) for split, _, numbers in chosen}
 
 
@@ -154,7 +149,7 @@ def with_files(
     index: pa.Table, files: Mapping[str, bytes], named: Sequence[Sequence[str]] | None = None
 ) -> Made:
     """Return the files of a shard and its index, which names up to two files for each row."""
-    digests = {path: store.sha256_hex(content) for path, content in files.items()}
+    digests = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
     columns = named or [[path] * len(index) for path in files]
     for prefix, paths in zip(_PREFIXES, columns, strict=False):
         for name, values in (("file", paths), ("sha256", [digests[path] for path in paths])):
@@ -208,7 +203,7 @@ def table_of_columns(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
 
 def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[str, str]:
     """Write the files that changed and return the checksums of all; unchanged files are not rewritten."""
-    digests = {path: store.sha256_hex(content) for path, content in files.items()}
+    digests = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
     for path, content in files.items():
         if not folder.has_sha256(path, digests[path]):
             folder.write_bytes(path, content)

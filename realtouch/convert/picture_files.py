@@ -176,7 +176,7 @@ class WritePictures:
             **columns_of_touches(row, shown, self.names),
             "id": [f"{name}/{number:03d}" for number in range(len(shown))],
             "file": list(files),
-            "sha256": list(map(store.sha256_hex, files.values())),
+            "sha256": [hashlib.sha256(content).hexdigest() for content in files.values()],
         }
         return conversion.table_of_columns(self.schema(row.group.table.schema), columns), files
 

@@ -303,7 +303,7 @@ def touch_id(round_id: str, touch_index: int) -> str:
     return f"{round_id}_{touch_index:03d}"
 
 
-class Touch(pictures.Drawn, read.FieldAccess):
+class Touch(pictures.Drawn):
     """One touch of a round; frozen, fields are read on access.
 
     Attributes

@@ -205,7 +205,7 @@ class TouchGenerator(generation.RowGenerator):
             split: range(len(solids))[: spec.limit] for split, solids in splits.items()
         }
         if spec.chosen:
-            chosen = catalog.choose_rows(splits.items(), **spec.chosen, limit=spec.limit)
+            chosen = catalog.RowFilter(**spec.chosen, limit=spec.limit).choose(splits.items())
             rows = {split: row_indices for split, _, row_indices in chosen}
         return cls(spec, splits, rows, unfinished)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -36,17 +37,16 @@ def divide(
     name: places.Name | places.Place,
     fractions: Sequence[float],
     seed: int,
-    chosen: JsonObject,
+    chosen: catalog.RowFilter = catalog.RowFilter.ALL,
     *,
     same_objects: bool = False,
 ) -> tuple[list[dict[str, Int64]], str]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
     Either at random by ``fractions`` of each split, which depends only on the seed and the objects; or,
-    without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen``,
-    and all others. All rows of an object are in one part; with ``same_objects``, rows are divided without
-    regard to their objects. Also returns what happened to objects: ``"whole"``, ``"divided"`` or, if those of
-    some rows are not known, ``"unknown"``.
+    without fractions, into the rows that are ``chosen``, and all others. All rows of an object are in one
+    part; with ``same_objects``, rows are divided without regard to their objects. Also returns what happened
+    to objects: ``"whole"``, ``"divided"`` or, if those of some rows are not known, ``"unknown"``.
 
     Raises InputError if ``chosen`` would divide the rows of an object.
     """
@@ -97,14 +97,15 @@ def drawn_parts(rows_of: Mapping[object, int], fractions: Sequence[float], seed:
     return {objects[index]: part for index, part in zip(order.tolist(), parts.tolist(), strict=True)}
 
 
-def _chosen_rows(place: places.Place, datasets: Mapping[str, Any], chosen: JsonObject) -> dict[str, Int64]:
+def _chosen_rows(
+    place: places.Place, datasets: Mapping[str, Any], chosen: catalog.RowFilter
+) -> dict[str, Int64]:
     """Return the positions of the rows of each split that filters choose; InputError if there are none."""
-    filters = dict(chosen)
-    only = filters.pop("split", None)
-    if only not in (None, *datasets):
+    only = chosen.only_split
+    if only is not None and only not in datasets:
         raise split_files.unknown_split(only, tuple(datasets), place.name)
     among = [item for item in datasets.items() if only in (None, item[0])]
-    taken = {split: rows for split, _, rows in catalog.choose_rows(among, **filters)}
+    taken = {split: rows for split, _, rows in chosen.choose(among)}
     return dict.fromkeys(datasets, np.zeros(0, np.int64)) | taken
 
 
@@ -143,7 +144,7 @@ def plan_parts(
     out: str,
     fractions: Sequence[float],
     seed: int,
-    chosen: JsonObject,
+    chosen: catalog.RowFilter,
     *,
     same_objects: bool = False,
 ) -> list[tuple[str, Callable[..., store.Manifest]]]:
@@ -152,7 +153,7 @@ def plan_parts(
     Folders are ``part-1``, ``part-2`` and so on in ``out``. The functions take those of ``RunOptions``. The
     option ``objects`` of their manifests says whether objects are whole, divided or unknown.
     """
-    options = chosen or {"fractions": fractions, "seed": seed}
+    options = chosen.given() or {"fractions": fractions, "seed": seed}
     parts, objects = divide(kind, name, fractions, seed, chosen, same_objects=same_objects)
     plans: list[tuple[str, Callable[..., store.Manifest]]] = []
     for number, rows in enumerate(parts, 1):
@@ -170,16 +171,15 @@ def plan_parts(
 def select_rows(
     kind: DatasetKind,
     name: places.Name | places.Place,
-    chosen: JsonObject,
+    chosen: catalog.RowFilter,
     out: str,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
-    """Write the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen`` as a data set."""
+    """Write chosen rows of a data set as a data set of the same kind."""
     place = places.open_place(name).require(kind, "tactile select").require_complete()
     rows = _chosen_rows(place, {split: kind.load(place, split) for split in place.splits}, chosen)
-    options = {option: value for option, value in chosen.items() if value is not None}
     source = open_source(kind, place, SELECT)
-    return build_copy(kind, [source], _parts_of(source, rows), SELECT, options, out, run)
+    return build_copy(kind, [source], _parts_of(source, rows), SELECT, chosen.given(), out, run)
 
 
 def plan_tables(
@@ -189,11 +189,9 @@ def plan_tables(
 
     Raises InputError if no row is chosen, or ``out`` is in the source or holds something else.
     """
-    filters = chosen.given()
-    datasets = catalog.open_splits(place, filters.pop("split"), kind)
     tasks = []
     shards = {}
-    for split, rows, indices in catalog.choose_rows(datasets.items(), **filters):
+    for split, rows, indices in chosen.open(place, kind):
         shards[split] = rows.files
         starts = range(0, len(indices), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
@@ -237,7 +235,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         content = store.encode_parquet(records.flat_table(rows), _VIEWER_STYLE)
         path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)
-        return path, store.sha256_hex(content)
+        return path, hashlib.sha256(content).hexdigest()
 
     return dict(run.in_threads(make, manifest.shards, min(run.usable_cores(), _MAX_AT_ONCE)))
 

@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 import pyarrow as pa
 
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
@@ -150,6 +151,12 @@ class PrintReport(TypedRow):
         """Bounding box along x, y, z."""
         return self.size_x_mm, self.size_y_mm, self.size_z_mm
 
+    def require_solid(self) -> PrintReport:
+        """Return the report of a mesh that bounds a solid; raises ItemError for others."""
+        if self.problem is not None:
+            raise ItemError(self.problem, f"it does not bound a solid ({self.problem}: {self.detail})")
+        return self
+
     def to_row(self) -> JsonDict:
         """Return the values of the report by column, as Python objects; lists for ``warnings`` and ``notes``.
 
@@ -226,10 +233,10 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     if check.problem is not None:
         counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
         return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
-    return report_of_solid(mesh, check, profile or PrintProfile())
+    return _report_of_solid(mesh, check, profile or PrintProfile())
 
 
-def report_of_solid(mesh: Mesh, check: ManifoldCheck, profile: PrintProfile) -> PrintReport:
+def _report_of_solid(mesh: Mesh, check: ManifoldCheck, profile: PrintProfile) -> PrintReport:
     """Measure a solid for printing, with the result of :func:`check_manifold` for it."""
     # numba takes half a second to import.
     from tactile_toolkit.mesh.walls import leaning_out, thinnest_wall_mm

@@ -77,6 +77,12 @@ class MeshRow(rows.TypedRow):
         name=FACES,
     )
 
+    @staticmethod
+    def encodings(of_vertices: str) -> tuple[tuple[str, str], ...]:
+        """Return the encodings of the columns of a mesh in Parquet, of vertices and of faces."""
+        named = ((VERTICES, of_vertices), (FACES, "DELTA_BINARY_PACKED"))
+        return tuple((f"{name}.list.element.list.element", encoding) for name, encoding in named)
+
     @classmethod
     def schema(cls, class_names: tuple[str, ...], without: tuple[str, ...] = ()) -> pa.Schema:
         """Return the Arrow schema, except some columns; its metadata suit `datasets`."""

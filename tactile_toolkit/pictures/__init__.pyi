@@ -14,7 +14,6 @@ from .previews import (
     PictureTask as PictureTask,
 )
 from .solid_views import (
-    DrawnBody as DrawnBody,
     DrawnSolid as DrawnSolid,
     View as View,
     draw_mesh as draw_mesh,

@@ -133,9 +133,8 @@ class ChosenRows:
         source = places.open_place(name).require(kind, command)
         among = chosen.given()
         if isinstance(chosen, catalog.PreviewSpec) and chosen.ids:
-            among["per_class"] = None  # it has a default, which must not hide ids that were asked for
-        datasets: dict[str, Any] = catalog.open_splits(source, among.pop("split"), kind)
-        picked = catalog.choose_rows(datasets.items(), **among)
+            among.pop("per_class")  # it has a default, which must not hide ids that were asked for
+        picked = catalog.RowFilter(**among).open(source, kind)
         return cls(source, kind, {split: dataset[rows] for split, dataset, rows in picked})
 
     @property

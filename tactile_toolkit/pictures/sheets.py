@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
-from tactile_toolkit import touch
+from tactile_toolkit import read, touch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.value_types import UInt8
 
@@ -221,7 +221,7 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(io.BytesIO(content), size_px, layout_engine=ImageFont.Layout.BASIC)
 
 
-class Drawn(ABC):
+class Drawn(read.FieldAccess, ABC):
     """Base class of records that draw themselves; views, sheets, cards and galleries follow from it."""
 
     __slots__ = ()
@@ -258,9 +258,9 @@ class Drawn(ABC):
     ) -> str:
         """Return HTML for notebooks of small pictures with captions; damaged ones are counted."""
         tiles = []
-        for caption, read in pictures:
+        for caption, draw in pictures:
             with suppress(IntegrityError):
-                tiles.append(figure_html(fitted(read(), _TILE_PX), caption, small=True))
+                tiles.append(figure_html(fitted(draw(), _TILE_PX), caption, small=True))
         if len(tiles) < len(pictures):
             words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]
         grid = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(tiles)}</div>'

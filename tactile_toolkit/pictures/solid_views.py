@@ -63,17 +63,17 @@ class View:
 
     def draw(
         self,
-        bodies: Sequence[DrawnBody],
+        bodies: Sequence[tuple[Mesh, Colour]],
         size_px: tuple[int, int],
         px_per_m: float,
         paper: Colour = PAPER,
     ) -> UInt8:
-        """Draw bodies in the middle of a picture of a given width and height, smooth except at sharp edges.
+        """Draw meshes, each in a colour, in the middle of a picture of a given size; only sharp edges show.
 
         The projection is parallel: lengths along the picture plane keep their scale. Returns shape (H, W, 3).
         """
-        counts = [len(body.mesh.faces) for body in bodies]
-        vertices_m, faces = join_surfaces([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])
+        counts = [len(part.faces) for part, _ in bodies]
+        vertices_m, faces = join_surfaces([(part.vertices_m, part.faces) for part, _ in bodies])
         projected = self.project(vertices_m)
         width, height = (side * _SAMPLING for side in size_px)
         scale = px_per_m * _SAMPLING
@@ -86,26 +86,15 @@ class View:
         row, column = np.nonzero(nearest >= 0)
         face = nearest[row, column]
 
-        levels = np.repeat(np.array([body.colour for body in bodies], float), counts, axis=0)[face]
-        lit = np.flatnonzero(np.repeat([body.lit for body in bodies], counts)[face])
-        corners = points_px[faces[face[lit]]]
-        normals = _corner_normals(projected, faces)[face[lit]]
-        levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
+        levels = np.repeat(np.array([colour for _, colour in bodies], float), counts, axis=0)[face]
+        normals = _corner_normals(projected, faces)[face]
+        levels = _lit(levels, _normals_at(column, row, points_px[faces[face]], normals))
         pixels = np.full((height, width, 3), paper, np.uint8)
         pixels[row, column] = np.clip(np.round(levels), 0, 255)
         return _reduced(pixels)
 
 
 View.OBLIQUE = View(-25.0, 42.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnBody:
-    """A mesh to draw in a colour, red, green and blue; unshaded unless ``lit``."""
-
-    mesh: Mesh
-    colour: Colour
-    lit: bool = True
 
 
 def _corner_normals(points: Float64, faces: Integers) -> Float64:

@@ -2,7 +2,7 @@
 
 ::
 
-    export(): choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    exports.py
+    export(): objects_of() -> PrintObject -> export_files(): one STL, 3MF, ... each    exports.py
        -> arrange(): positions on plates, and their maps                           plate_layouts.py
        -> write_plates(): 3MF, map, table                                          exports.py
 

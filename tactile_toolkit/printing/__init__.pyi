@@ -11,4 +11,6 @@ from .print_options import (
 from .exports import (
     export as export,
     ExportReport as ExportReport,
+    FileJob as FileJob,
+    ShowProgress as ShowProgress,
 )

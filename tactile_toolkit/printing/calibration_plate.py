@@ -20,7 +20,7 @@ from PIL import Image
 from tactile_toolkit import pictures
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.file_export import (
     FileExport,
     Made,
@@ -249,8 +249,8 @@ def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
     size_mm = tuple(round(side, 3) for side in (np.ptp(plate.mesh.bounds_m, axis=0) * MM_PER_M).tolist())
     names = tuple(feature.name for feature in plate.features)
 
-    def record(verdict: ManifoldCheck, _bytes: int, state: str) -> WrittenPlate:
-        return WrittenPlate((*beside, file), size_mm, round(verdict.volume_mm3, 3), names, state)
+    def record(volume_mm3: float, _bytes: int, state: str) -> WrittenPlate:
+        return WrittenPlate((*beside, file), size_mm, round(volume_mm3, 3), names, state)
 
     return Made.of_solid(PLATE_NAME, ending, plate.mesh, record, beside)
 
@@ -261,7 +261,7 @@ def _picture(plate: CalibrationPlate) -> bytes:
     low, high = projected.min(axis=0), projected.max(axis=0)
     middle_px = np.array(_PICTURE_PX) / 2
     px_per_m = float((2 * (middle_px - _EDGE_PX) / (high - low)).min())
-    drawn = pictures.View.OBLIQUE.draw([pictures.DrawnBody(plate.mesh, _COLOUR)], _PICTURE_PX, px_per_m)
+    drawn = pictures.View.OBLIQUE.draw([(plate.mesh, _COLOUR)], _PICTURE_PX, px_per_m)
     picture = Image.fromarray(drawn)
     pen = pictures.Pen(picture)
     for number, (feature, (x_mm, y_mm)) in enumerate(_touches(plate), start=1):

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from tactile_toolkit import catalog, places
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile
-from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.calibration_plate import WrittenPlate, export_calibration_plate
 from tactile_toolkit.printing.file_export import (
@@ -29,8 +29,8 @@ from tactile_toolkit.printing.file_export import (
     PrintObject,
     Product,
     Progress,
-    choose,
     content_of,
+    objects_of,
     require_same_solid,
 )
 from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_map
@@ -73,6 +73,10 @@ class ExportReport:
     removed: tuple[str, ...] = ()
 
 
+ShowProgress: TypeAlias = Callable[[str, str], AbstractContextManager[Progress]]
+"""Shows a stage of an export, and what it counts."""
+
+
 class FileJob(TypedDict, total=False):
     """How files are written: as of :func:`export_files`."""
 
@@ -87,18 +91,16 @@ def export(
     chosen: catalog.RowFilter,
     out: str,
     options: ExportOptions,
-    progress: Callable[[str, str], AbstractContextManager[Progress]],
+    progress: ShowProgress,
     **job: Unpack[FileJob],
 ) -> ExportReport:
     """Write chosen meshes of a data set as files for printers and simulators.
 
-    ``progress`` shows a stage of the export and what it counts. Raises as :func:`export_files` and
+    Raises as :func:`export_files` and
     :func:`write_plates`.
     """
-    filters = chosen.given()
     plate = options.plates
-    datasets = catalog.open_splits(place, filters.pop("split"), kind)
-    objects = choose(datasets.items(), options.base_mm, **filters)
+    objects = objects_of(chosen.open(place, kind), options.base_mm)
     ending = options.file_format
     overwrite = job.get("overwrite", False)
     dry_run = job.get("dry_run", False)
@@ -206,7 +208,7 @@ def _made_file(item: PrintObject, options: ExportOptions) -> Made[WrittenFile]:
     solid = item.on_plate(options.scale)
     ending = options.ending
 
-    def record(verdict: ManifoldCheck, size: int, state: str) -> WrittenFile:
+    def record(volume_mm3: float, size: int, state: str) -> WrittenFile:
         sides_mm = (np.ptp(solid.bounds_m, axis=0) * MM_PER_M).tolist()
         width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
         return WrittenFile(
@@ -218,16 +220,16 @@ def _made_file(item: PrintObject, options: ExportOptions) -> Made[WrittenFile]:
             width_mm=width_mm,
             depth_mm=depth_mm,
             height_mm=height_mm,
-            volume_mm3=round(verdict.volume_mm3, 3),
+            volume_mm3=round(volume_mm3, 3),
             bytes=size,
             state=state,
         )
 
     if ending in MeshFile.FORMATS:
         return Made.of_solid(item.name, ending, solid, record)
-    verdict = require_solid(solid)
+    volume_mm3 = require_solid(solid).volume_mm3
     files = model_files(item.name, solid, ending, options.physics)
-    return Made(files, partial(record, verdict, sum(map(len, files.values()))))
+    return Made(files, partial(record, volume_mm3, sum(map(len, files.values()))))
 
 
 def _product(item: PrintObject, options: ExportOptions) -> Product[WrittenFile]:

@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit import catalog, mesh, read, store
+from tactile_toolkit import mesh, read, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
@@ -23,7 +23,7 @@ from tactile_toolkit.run import runner_for
 from tactile_toolkit.store.addresses import local_folder_path
 from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
 from tactile_toolkit.store.folder import LocalFolder
-from tactile_toolkit.value_types import JsonValue
+from tactile_toolkit.value_types import Int64
 from tactile_toolkit.wording import class_name, with_count
 
 if TYPE_CHECKING:
@@ -68,20 +68,18 @@ def _with_base(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> m
     return mesh.with_flat_underside(mesh.Mesh.of(load()).on_plate(), base_mm)
 
 
-def choose(
-    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]],
-    base_mm: float | None = None,
-    **chosen: JsonValue,
+def objects_of(
+    chosen: Iterable[tuple[str, read.RecordDataset[SolidRecord], Int64]], base_mm: float | None = None
 ) -> list[PrintObject]:
-    """Choose objects as :func:`tactile_toolkit.catalog.choose_rows` does; no mesh is read.
+    """Return chosen rows as objects, from :meth:`tactile_toolkit.catalog.RowFilter.choose`; reads no mesh.
 
     With ``base_mm``, the upper half of each is put on a plate of this thickness
     (:func:`tactile_toolkit.mesh.with_flat_underside`).
 
-    Raises InputError for an id or a class that no row has, and for a duplicate id in a split.
+    Raises InputError for a duplicate id in a split.
     """
     objects: list[PrintObject] = []
-    for split, rows, indices in catalog.choose_rows(datasets, **chosen):
+    for split, rows, indices in chosen:
         classes = rows.label_names
         columns = (indices.tolist(), rows.ids[indices].tolist(), rows.labels[indices].tolist())
         for row, number, label in zip(*columns, strict=True):
@@ -141,24 +139,24 @@ class Made(Generic[R]):
         name: str,
         ending: str,
         solid: mesh.Mesh,
-        record: Callable[[solid_check.ManifoldCheck, int, str], R],
+        record: Callable[[float, int, str], R],
         beside: Mapping[str, bytes] | None = None,
-        verdict: solid_check.ManifoldCheck | None = None,
+        known: mesh.PrintReport | None = None,
     ) -> Made[R]:
         """Make the file of one solid; it is read back in the check.
 
-        ``record`` takes the check of the solid, the number of bytes of the file, and the state. ``beside``
-        are further files, ``verdict`` is the check if it is known. Raises ItemError for a mesh that bounds no
-        solid.
+        ``record`` takes the volume, mm³, the number of bytes of the file, and the state. ``beside`` are
+        further files, ``known`` is what was found about the solid before. Raises ItemError for a mesh that
+        bounds no solid.
         """
-        verdict = verdict or solid_check.require_solid(solid)
+        found = known or solid_check.require_solid(solid)
         content = pack_mesh(solid, ending, name)
 
         def check() -> None:
-            require_same_solid(unpack_mesh(content, ending), solid, verdict)
+            require_same_solid(unpack_mesh(content, ending), solid, found)
 
         files = {**(beside or {}), f"{name}{ending}": content}
-        return cls(files, partial(record, verdict, len(content)), check)
+        return cls(files, partial(record, found.volume_mm3, len(content)), check)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +230,9 @@ class FileExport(Generic[R]):
         return cls(tuple(result for result in results if not isinstance(result, FailedExport)), failed)
 
 
-def require_same_solid(read_back: mesh.Mesh, meant: mesh.Mesh, verdict: solid_check.ManifoldCheck) -> None:
+def require_same_solid(
+    read_back: mesh.Mesh, meant: mesh.Mesh, verdict: solid_check.ManifoldCheck | mesh.PrintReport
+) -> None:
     """Raise ItemError if a mesh that was read back differs from the intended solid, of ``verdict``."""
     back = solid_check.require_solid(read_back)
     moved_mm = float(np.abs(read_back.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M

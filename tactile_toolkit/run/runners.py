@@ -165,10 +165,16 @@ class ProcessRunner:
                 process.join()
 
 
-def runner_for(workers: int | Runner) -> Runner:
-    """Return a runner as it is, or a runner for a number of workers; 1 means the calling process."""
+def runner_for(workers: int | Runner, where: str = "processes") -> Runner:
+    """Return a runner as it is, or a runner for a number of workers; 1 means the calling process.
+
+    With ``where``, ``"ray"`` or ``"ray=HOST:PORT"``, the workers are those of a cluster; 0 means all.
+    """
     if not isinstance(workers, int):
         return workers
+    cluster, _, address = where.partition("=")
+    if cluster == "ray":
+        return RayRunner(address or None, workers)
     if workers == 1:
         return InlineRunner()
     return ProcessRunner(workers)

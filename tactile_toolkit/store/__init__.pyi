@@ -60,5 +60,4 @@ from .parquet import (
     open_checked as open_checked,
     ParquetStyle as ParquetStyle,
     read_report as read_report,
-    sha256_hex as sha256_hex,
 )

@@ -11,6 +11,7 @@ same data set is requested again: a task with an intact record is done.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -85,8 +86,8 @@ class _WriteShard:
             shard.split,
             len(content.table),
             len(data),
-            parquet.sha256_hex(data),
-            report_sha256=None if report is None else parquet.sha256_hex(report),
+            hashlib.sha256(data).hexdigest(),
+            report_sha256=None if report is None else hashlib.sha256(report).hexdigest(),
             skipped=content.skipped,
             statistics=content.statistics,
             unpacked_bytes=content.table.nbytes,

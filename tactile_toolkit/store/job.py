@@ -6,6 +6,7 @@ manifest from then on. A record names its job, so leftovers of another job never
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import socket
@@ -35,7 +36,7 @@ from tactile_toolkit.store.manifest import (
     read_manifest,
     write_manifest,
 )
-from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.value_types import JsonObject
 
 _LONGEST_SHOWN = 200
@@ -521,7 +522,7 @@ def _short(value: object) -> str:
         return text
     if isinstance(value, list):
         short = wording.with_count(len(value), "entries")
-    return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
+    return f"{short} (fingerprint {hashlib.sha256(text.encode()).hexdigest()[:8]})"
 
 
 def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterable[str]) -> None:

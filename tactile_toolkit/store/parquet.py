@@ -243,11 +243,6 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
                 raise pa.ArrowInvalid("the footer does not match its checksum")
 
 
-def sha256_hex(content: Buffer) -> str:
-    """Return the SHA-256 of bytes in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def _paths(schema: pa.Schema) -> list[str]:
     """Return the paths of a schema's columns in a Parquet file."""
     file = io.BytesIO()
@@ -317,7 +312,7 @@ def _tables(
         content = next(contents) if record.shard in pending else None
         table = None
         # The content may be missing, if another run of the same job has just merged it.
-        if content is not None and sha256_hex(content) == record.report_sha256:
+        if content is not None and hashlib.sha256(content).hexdigest() == record.report_sha256:
             with contextlib.suppress(IntegrityError), named_damage(pending[record.shard]):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
         if table is None and record.rows:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.catalog import choose_rows
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.copies import drawn_parts
 from tactile_toolkit.store import open_folder, read_manifest
@@ -157,7 +157,7 @@ def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
     assert not out.exists()
     scenes = [("train", import_module("starstruck_gen").load(str(folder), "train"))]
     with pytest.raises(InputError, match="no object is chosen"):
-        choose_rows(scenes, ids=[])
+        RowFilter(ids=[]).choose(scenes)
 
 
 def _objects(folder: Path) -> set[int]:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 import mnist3d
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.printing.file_export import PrintObject, choose
+from tactile_toolkit.printing.file_export import PrintObject, objects_of
 
 
 @pytest.fixture
@@ -17,7 +18,7 @@ def digits(digits_set: Path) -> mnist3d.DigitDataset:
 
 
 def chosen(digits: mnist3d.DigitDataset, **choice: object) -> list[PrintObject]:
-    return choose([("test", digits)], **choice)  # type: ignore[arg-type]
+    return objects_of(RowFilter(**choice).choose([("test", digits)]))  # type: ignore[arg-type]
 
 
 def test_names_tell_split_class_and_id(digits: mnist3d.DigitDataset) -> None:
@@ -53,4 +54,4 @@ def test_missing_digits_are_named(digits: mnist3d.DigitDataset) -> None:
     with pytest.raises(InputError, match="no object is chosen"):
         chosen(digits, ids=[int(digits.ids[0])], labels=[label])
     with pytest.raises(InputError, match="two objects would be called"):
-        choose([("test", digits), ("test", digits)])
+        objects_of(RowFilter.ALL.choose([("test", digits), ("test", digits)]))

@@ -22,7 +22,7 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import DrawnBody, View
+from tactile_toolkit.pictures import View
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tactile_toolkit.pictures.solid_views import relief
 from tests.sealed import edit
@@ -189,8 +189,8 @@ def drawn_meshes(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
     meshes: list[Mesh] = []
     draw = View.draw
 
-    def draw_and_keep(view: View, bodies: Sequence[DrawnBody], *options: Any) -> np.ndarray:
-        meshes.extend(body.mesh for body in bodies)
+    def draw_and_keep(view: View, bodies: Sequence[tuple[Mesh, Any]], *options: Any) -> np.ndarray:
+        meshes.extend(mesh for mesh, _ in bodies)
         return draw(view, bodies, *options)
 
     monkeypatch.setattr(View, "draw", draw_and_keep)

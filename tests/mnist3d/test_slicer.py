@@ -17,10 +17,11 @@ import pytest
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.printing import ExportOptions
 from tactile_toolkit.printing.exports import export_files, write_plates
-from tactile_toolkit.printing.file_export import choose
+from tactile_toolkit.printing.file_export import objects_of
 from tactile_toolkit.printing.plate_layouts import PlacedObject, arrange
 from tactile_toolkit.printing.print_options import PlateSpec
 from tests.command_line import call
@@ -134,7 +135,9 @@ def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_one_digit_of_each_class_loads_whole_and_in_size(kind, digits, tmp_path):
-    made = export_files(choose([("printed_test", digits)]), str(tmp_path), ExportOptions(kind))
+    made = export_files(
+        objects_of(RowFilter.ALL.choose([("printed_test", digits)])), str(tmp_path), ExportOptions(kind)
+    )
     assert sorted(file.label for file in made.files) == list("0123456789")
     for file in made.files:
         (seen,) = seen_in(tmp_path / file.file)
@@ -148,7 +151,9 @@ def test_one_digit_of_each_class_loads_whole_and_in_size(kind, digits, tmp_path)
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_a_digit_slices_up_to_its_height_without_a_repair(kind, digits, tmp_path):
     (file,) = export_files(
-        choose([("printed_test", digits)], labels=["8"]), str(tmp_path), ExportOptions(kind)
+        objects_of(RowFilter(labels=["8"]).choose([("printed_test", digits)])),
+        str(tmp_path),
+        ExportOptions(kind),
     ).files
     path = tmp_path / file.file
     sliced = slice_file(path, tmp_path)
@@ -165,7 +170,7 @@ def write_plate(
     digits: mnist3d.DigitDataset, labels: str, folder: Path
 ) -> tuple[tuple[PlacedObject, ...], Path]:
     spec = PlateSpec(PLATE_MM, PLATE_MM, 3.0)
-    layout = arrange(choose([("printed_test", digits)], labels=list(labels)), spec)
+    layout = arrange(objects_of(RowFilter(labels=list(labels)).choose([("printed_test", digits)])), spec)
     write_plates(layout, str(folder))
     (plate,) = layout.plates
     return plate, folder / "plate-01.3mf"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,6 @@ from realtouch.convert.selection import KeepTouches
 from realtouch.touches.loading import Source
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.runners import ProcessRunner
-from tactile_toolkit.store import sha256_hex
 from tactile_toolkit.touch import decode_image, resized
 from tests.command_line import call
 from tests.realtouch import factories
@@ -185,7 +185,7 @@ def test_plain_pictures(kind: Any, single_folder: Path, seq_folder: Path, tmp_pa
         }
         for line in lines:
             content = (out / line["file"]).read_bytes()
-            assert sha256_hex(content) == line["sha256"]
+            assert hashlib.sha256(content).hexdigest() == line["sha256"]
             record, touch = records[line["round_id"]], int(line["touch"])
             assert int(line["label"]) == record.label
             assert float(line["pos_in_cell_x_m"]) == record.pos_in_cell_m[touch, 0]

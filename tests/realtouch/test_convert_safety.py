@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import signal
 import sys
@@ -18,7 +19,7 @@ import realtouch
 from realtouch.convert import conversion
 from realtouch.convert.picture_files import id_of_stem, stem_of_id
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store import open_folder, problem_of_name, sha256_hex
+from tactile_toolkit.store import open_folder, problem_of_name
 from tests.forked import run_forked, start_forked
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -132,7 +133,7 @@ def test_invalid_pictures_are_found_although_their_checksum_is_right(small: Path
     for shard in (tmp_path / "out" / "data").iterdir():
         lines = pq.ParquetFile(shard).read().to_pylist()
         for line in lines:
-            line["sha256"] = sha256_hex(cut) if line["file"] == name else line["sha256"]
+            line["sha256"] = hashlib.sha256(cut).hexdigest() if line["file"] == name else line["sha256"]
         pq.write_table(pa.Table.from_pylist(lines, schema=pq.read_schema(shard)), shard)
     wrong = {finding.file: finding.problem for finding in realtouch.verify(tmp_path / "out").findings}
     assert "cannot be decoded" in wrong[name]
@@ -217,7 +218,7 @@ def test_a_large_file_whose_draft_another_run_removes_is_whole(tmp_path: Path) -
     object.__setattr__(folder, "write", write)
     written, digest = conversion.write_stream(folder, "large", lambda stream: stream.write(b"frames"))
     assert (tmp_path / "large").read_bytes() == b"frames"
-    assert (written, digest) == (6, sha256_hex(b"frames"))
+    assert (written, digest) == (6, hashlib.sha256(b"frames").hexdigest())
 
 
 def _die(source: str, out: str, moment: int) -> None:

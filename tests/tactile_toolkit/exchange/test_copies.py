@@ -108,7 +108,7 @@ def test_a_set_whose_first_shard_is_empty_is_divided(tmp_path: Path) -> None:
     source.mkdir(parents=True)
     for index, part in enumerate((table[:0], table[:1], table[:0], table[1:])):
         pq.write_table(part, source / f"train-{index:05d}-of-00004.parquet")
-    parts, _ = divide(SCENES, str(source.parent), (0.5, 0.5), 7, {})
+    parts, _ = divide(SCENES, str(source.parent), (0.5, 0.5), 7)
     found: list[int] = []
     for number, rows in enumerate(parts):
         out = str(tmp_path / f"part-{number}")

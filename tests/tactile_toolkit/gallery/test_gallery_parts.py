@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.catalog import choose_rows
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.gallery import Gallery, GalleryItem
 from tactile_toolkit.gallery.site import (
@@ -137,7 +137,7 @@ def test_rows_are_chosen_per_class_then_limited():
     rows = Rows(labels=labels, ids=np.arange(6), label_names=tuple(map(str, range(10))))
 
     def chosen(**options: int | None) -> list[int]:
-        ((_, _, positions),) = choose_rows([("train", rows)], **options)
+        ((_, _, positions),) = RowFilter(**options).choose([("train", rows)])
         return positions.tolist()
 
     assert chosen() == [0, 1, 2, 3, 4, 5]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, View
+from tactile_toolkit.pictures import View
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
@@ -36,7 +36,7 @@ def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
 
 
 def test_a_box_from_above_covers_its_area_to_the_pixel():
-    picture = (DrawnBody(box(20, 10, 5), CLAY),), (260, 160), 10_000.0
+    picture = ((box(20, 10, 5), CLAY),), (260, 160), 10_000.0
     covered = (TOP.draw(*picture) < 250).any(axis=2)
     rows, columns = np.nonzero(covered)
     assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (200, 100)
@@ -46,7 +46,7 @@ def test_a_box_from_above_covers_its_area_to_the_pixel():
 
 def test_closer_surfaces_hide_those_behind():
     high, low = box(4, 4, 4), box(10, 10, 1)
-    red, green = DrawnBody(lifted(high, 0.01), (250, 0, 0)), DrawnBody(low, (0, 250, 0))
+    red, green = (lifted(high, 0.01), (250, 0, 0)), (low, (0, 250, 0))
     for bodies in ((red, green), (green, red)):
         drawn = TOP.draw(bodies, (100, 100), 8_000.0)
         assert drawn[50, 50, 0] > 100
@@ -61,7 +61,7 @@ def colours_of(pixels: np.ndarray) -> np.ndarray:
 
 
 def test_sides_of_a_box_are_flat_and_its_edges_sharp():
-    bodies = (DrawnBody(box(20, 10, 8), CLAY),)
+    bodies = ((box(20, 10, 8), CLAY),)
     drawn = View.OBLIQUE.draw(bodies, (240, 180), 9_000.0)
     assert len(colours_of(drawn)) == 3 + 1  # three sides are visible, and the paper
 
@@ -72,7 +72,7 @@ def test_round_surfaces_are_shaded_smoothly():
 
     views = []
     for made in (trimesh.creation.icosphere(3, 0.01), trimesh.creation.uv_sphere(0.01, [36, 36])):
-        body = DrawnBody(Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)), CLAY)
+        body = (Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)), CLAY)
         views.append(View.OBLIQUE.draw((body,), (120, 120), 5_000.0).astype(int))
     inside = np.hypot(*(np.indices((120, 120)) - 59.5)) < 45
     assert np.abs(views[0] - views[1])[inside].max() <= 6
@@ -80,29 +80,23 @@ def test_round_surfaces_are_shaded_smoothly():
     assert steps.max() <= 8
 
 
-def test_unlit_bodies_keep_their_colour_on_any_paper():
-    body, paper = DrawnBody(box(20, 10, 5), CLAY, lit=False), (10, 20, 30)
-    drawn = View.OBLIQUE.draw((body,), (120, 90), 3_000.0, paper=paper)
-    assert {tuple(colour) for colour in colours_of(drawn).tolist()} == {CLAY, paper}
-
-
 def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
     right = box(20, 10, 5)
     wrong = Mesh(right.vertices_m, right.faces[:, ::-1])
-    views = [View.OBLIQUE.draw((DrawnBody(mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
+    views = [View.OBLIQUE.draw(((mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
     assert np.array_equal(*views)
 
 
 DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures import ACCENTS
-from tactile_toolkit.pictures import DrawnBody, View
+from tactile_toolkit.pictures import View
 from tactile_toolkit.touch import encode_image
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures import Tile, sheet
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
 mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
-view = View.OBLIQUE.draw((DrawnBody(mesh, (200, 120, 40)),), (120, 90), 4000.0)
+view = View.OBLIQUE.draw(((mesh, (200, 120, 40)),), (120, 90), 4000.0)
 drawn = sheet([Tile(view, "20 mm²", ACCENTS[0], "a").with_scale_bar(4.0)] * 3, 2, "Title", ("line",))
 print(hashlib.sha256(encode_image(drawn, "png")).hexdigest())
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from dataclasses import replace
 
@@ -14,7 +15,6 @@ from tactile_toolkit.store.parquet import (
     ParquetStyle,
     encode_parquet,
     open_checked,
-    sha256_hex,
     stream_parquet,
 )
 
@@ -75,7 +75,7 @@ def test_tables_one_after_another_are_the_bytes_of_all_at_once(sizes):
     stream = io.BytesIO()
     checksum = stream_parquet(stream, iter(tables), ParquetStyle(rows_per_group=3))
     whole = encode_parquet(pa.concat_tables(tables), ParquetStyle(rows_per_group=3))
-    assert (stream.getvalue(), checksum) == (whole, sha256_hex(whole))
+    assert (stream.getvalue(), checksum) == (whole, hashlib.sha256(whole).hexdigest())
 
 
 def test_of_tables_one_after_another_no_more_than_a_row_group_is_held():
