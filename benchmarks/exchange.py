@@ -166,7 +166,7 @@ def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[str, 
     import realtouch
 
     realtouch.export(source, exported, "webdataset")
-    realtouch.frames(source, exported / "images", "jpeg")
+    realtouch.export(source, exported / "images", "jpeg")
     tars, images = exported / "webdataset", exported / "images"
 
     def exporting(layout: Any, way: str, plain: Callable[[Path, Path], None]) -> tuple[str, list[Job]]:

@@ -23,7 +23,6 @@ from .convert.media_conversions import (
     clips_to_images as clips_to_images,
     resize as resize,
 )
-from .convert.picture_files import frames as frames
 from .convert.selection import select as select
 from .checks.rules import RecordingFinding as RecordingFinding
 from .checks.checking import (

@@ -60,7 +60,6 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     """
     words = cards.Card.words(WORDS)
     facts = cards.FolderSummary.of(folder, manifest)
-    operation = None if manifest is None else manifest.spec.get("operation")
     types = read.column_types(facts.schema)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
@@ -69,10 +68,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
-    if operation in ("frames", "export"):
-        template = str(operation)
+    if manifest is not None and manifest.spec.get("operation") == "export":
+        layout = manifest.spec["options"]["layout"]
+        template = "frames" if layout in touch.IMAGE_SUFFIX else "export"
         licence_text = of_origin.get("licence_of_others", licence_text)
-        content = _plain_content(folder, facts, manifest, words)
+        content = _plain_content(folder, facts, layout, words)
         for name in ("content_text", "loading"):
             content.values[name] = content.values[name].replace("$sensor_family", family)
     else:
@@ -134,11 +134,10 @@ def _values_of_origin(of_origin: JsonDict, cell: str, heights: list[str | None])
 def _plain_content(
     folder: store.DataFolder,
     facts: cards.FolderSummary,
-    manifest: store.Manifest | None,
+    layout: str,
     words: JsonDict,
 ) -> _Content:
     """Return the content of a card about picture files, or about rows in a foreign format."""
-    layout = "frames" if manifest is None else manifest.spec["options"].get("layout", "frames")
     of_layout = words["layouts"][layout]
     placeholders = ("layout_text", "content_text", "size_note", "loading")
     texts = {name: of_layout.get(name, "") for name in placeholders}

@@ -27,7 +27,6 @@ SELECT = "select"
 
 _COMMANDS = {
     EXPORT: "tactile export",
-    "frames": "tactile export",
     MERGE: "tactile merge",
     SPLIT: "tactile split",
     SELECT: "tactile select",
@@ -59,7 +58,7 @@ def is_export(manifest: Specified | None) -> bool:
 
 def is_for_others(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of files for other programs, without rows of its kind."""
-    return manifest is not None and manifest.spec.get("operation") in (EXPORT, "frames", "pairs")
+    return manifest is not None and manifest.spec.get("operation") in (EXPORT, "pairs")
 
 
 def is_copy(manifest: Specified | None) -> bool:

@@ -16,9 +16,6 @@ from realtouch.touches import damage, loading, media, schema, stored_round
 from tactile_toolkit import cards, errors, places, read, run, store, wording
 from tactile_toolkit.touch import decode_image, image_size
 
-INDEXED = ("frames", "export")
-"""Operations whose rows are an index of other files."""
-
 # How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each after the
 # mark of a field that follows on the one before it (Thrift's compact protocol).
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
@@ -161,7 +158,7 @@ def verify(
     if (
         data_set.folder is not None
         and data_set.manifest is not None
-        and data_set.spec.get("operation") in INDEXED
+        and data_set.spec.get("operation") == "export"  # its rows are an index of other files
     ):
         counts = (0, 0)
         if data_set.manifest.complete:  # the index is written last

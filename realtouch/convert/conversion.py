@@ -414,7 +414,7 @@ def plan_build(
     }
     origin = schema.origin_of(opened.schema, opened.manifest())
     # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
-    if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
+    if origin == "imported" or (origin == "synthetic" and conversion.operation == "export"):
         options["touches"] = origin
     sensor = schema.sensor_of(opened.schema, opened.manifest())
     if sensor is not None and sensor != touch.GELSIGHT_MINI:

@@ -1,47 +1,23 @@
-"""Touches as plain image files with an index in CSV and Parquet; names of files, and files in tars."""
+"""Pictures and columns of the touches of a round, for tables; names of files, and files in tars."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import re
 import tarfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from os import PathLike
-from typing import IO, Literal, Unpack
+from typing import IO
 from urllib.parse import unquote
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, touch_options
-from realtouch.contact import difference
-from realtouch.convert import conversion
-from realtouch.touches import image_contacts, loading, media, rounds, schema, stored_round
+from realtouch.touches import media, rounds, schema, stored_round
 from realtouch.touches.poses import Poses
-from tactile_toolkit import catalog, errors, places, read, store, touch
-from tactile_toolkit.value_types import AnyArray, Float64, Floating, JsonDict, UInt8
-
-Difference = Literal["grey", "absolute"]
-IMAGE_FOLDER = "images"
-INDEX_FILE = "index.csv"
-_INDEX_ROWS = 16
-_INDEX_SCHEMA = pa.schema(
-    [
-        ("id", pa.string()),
-        ("file", pa.string()),
-        ("sha256", pa.string()),
-        ("round_id", pa.string()),
-        ("touch", pa.int64()),
-        ("frame", pa.int64()),
-        ("label", pa.int64()),
-        ("object_id", pa.int64()),
-        *((name, pa.float64()) for name in (*touch_options.POSITION_COLUMNS, *touch_options.POSE_COLUMNS)),
-    ]
-)
+from tactile_toolkit import read, store
+from tactile_toolkit.value_types import AnyArray, Float64, Floating, UInt8
 
 # Names that have another meaning in exports.
 _OTHER_COLUMNS = (
@@ -53,156 +29,6 @@ _OTHER_COLUMNS = (
 _NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
 _LONGEST = 100
 _KEPT = 60  # characters of a longer id, before its digest
-
-
-def frames(
-    source: places.Name | places.Place,
-    out: str | PathLike[str],
-    kind: Literal["png", "jpeg"] = "png",
-    frame: str = "contact_end",
-    *,
-    difference: Difference | None = None,
-    **job: Unpack[conversion.JobOptions],
-) -> store.Manifest:
-    """Write touches as plain image files with an index in CSV and Parquet.
-
-    Parameters
-    ----------
-    source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
-        As for :func:`clips_to_images`.
-    kind : "png" or "jpeg"
-        Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte, each
-        decoded once to prove that it is intact.
-    frame : str
-        Which frame of a clip; as for :func:`clips_to_images`.
-    difference : "grey" or "absolute", optional
-        Write what differs from the background, as :func:`realtouch.difference` gives it, instead of the
-        picture: from the median of the clip, or of the images of the round.
-
-    Returns
-    -------
-    Manifest
-        Each file is named in ``index.csv`` with its checksum, label, position and pose. Characters of an id
-        other than letters, digits, ``-`` and ``_`` are percent-encoded. A round whose id an earlier one of
-        its split has is left out.
-
-    Raises
-    ------
-    InputError, SpecMismatchError, StorageError
-        As :func:`clips_to_images`.
-    """
-    return conversion.write_conversion(source, out, plan_of_pictures(kind, frame, difference), **job)
-
-
-def plan_of_pictures(kind: touch.ImageFormat, frame: str, difference: Difference | None) -> conversion.Plan:
-    """Return the function that plans :func:`frames`; InputError for an unknown option."""
-    if kind not in ("png", "jpeg"):
-        raise errors.InputError(f"no picture format {kind!r}; expected png or jpeg")
-    if difference not in (None, "grey", "absolute"):
-        raise errors.InputError(
-            f"no difference {difference!r} that a picture can show; expected grey or absolute"
-        )
-    return partial(_plan_pictures, kind, contact.require_method(frame), difference)
-
-
-def _plan_pictures(
-    kind: touch.ImageFormat,
-    method: contact.ContactMethod,
-    difference: Difference | None,
-    opened: loading.Source,
-    rows: catalog.RowFilter,
-) -> conversion.Conversion:
-    options: JsonDict = {"kind": kind, "frame": method}
-    if opened.kind == "single":
-        options["frame"] = None
-    else:
-        opened.require_frame(method)
-    if difference is not None:
-        options["difference"] = difference
-    return conversion.Conversion(
-        opened,
-        "frames",
-        options,
-        WritePictures(kind, method, difference, opened.class_names),
-        conversion.marked_repetitions(opened, conversion.chosen_rows(opened, rows)),
-        rows_per_shard=_INDEX_ROWS,
-        rows_per_group=1 << 16,
-        extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
-        write_files=write_index,
-    )
-
-
-@dataclass(frozen=True)
-class WritePictures:
-    """Step of ``frames``: gives the pictures of a row, and their lines of the index.
-
-    Stored JPEGs pass through as they are. With ``difference``, pictures are what differs from the background:
-    the median of the clip, or of the images of the round. ``names`` are those of the classes.
-    """
-
-    kind: touch.ImageFormat
-    method: contact.ContactMethod
-    difference: Difference | None = None
-    names: tuple[str, ...] = touch.CLASS_NAMES
-
-    def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the columns of the index; it names the classes unless they are the digits."""
-        fields = [*_INDEX_SCHEMA]
-        if self.names != touch.CLASS_NAMES:
-            fields.append(pa.field("label_name", pa.string()))
-        return pa.schema([*fields, *plain_extras(source).values()])
-
-    def apply(
-        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
-    ) -> conversion.Made:
-        """Return the lines of the index of a row, and its pictures.
-
-        A row with a damaged touch is left out with all of its pictures.
-        """
-        name = stem_of_id(str(row.plain_value("id")))
-        shown = shown_touches(row, self.method)
-        base = None
-        if self.difference is not None and row.has("sensor_image") and shown:
-            # A round of images shares one background; each clip has its own.
-            base = image_contacts.background(rounds.TouchSingleRound(row))
-        folder = f"{IMAGE_FOLDER}/{split}/{name}"
-        suffix = touch.IMAGE_SUFFIX[self.kind]
-        stored = shown.stored()
-        files = {
-            f"{folder}/{number:03d}.{suffix}": self._encoded(shown, number, stored[number].as_py(), base)
-            for number in range(len(shown))
-        }
-        columns = {
-            **columns_of_touches(row, shown, self.names),
-            "id": [f"{name}/{number:03d}" for number in range(len(shown))],
-            "file": list(files),
-            "sha256": [hashlib.sha256(content).hexdigest() for content in files.values()],
-        }
-        return conversion.table_of_columns(self.schema(row.group.table.schema), columns), files
-
-    def _encoded(self, shown: ShownTouches, number: int, stored: bytes, base: UInt8 | None) -> bytes:
-        """Return the file of a picture; every picture is decoded, so that damage is not passed on."""
-        pixels = shown.pixels(number)
-        if self.difference is not None:
-            if base is None:
-                base = image_contacts.background(shown.images[number])
-            return touch.encode_image(difference(pixels, base, self.difference), self.kind)
-        if self.kind == "jpeg" and touch.is_jpeg(stored):
-            return stored
-        return touch.encode_image(pixels, self.kind)
-
-
-def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
-    """Write the index of all pictures as ``index.csv`` and return its checksum by its path."""
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    for number, record in enumerate(manifest.shards):
-        table = read.Shard(folder.address(record.shard.data_path)).read()
-        if number == 0:
-            writer.writerow(["split", *table.column_names])
-        writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
-    content = stream.getvalue().encode()
-    return conversion.write_changed(folder, {INDEX_FILE: content})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,15 +1,12 @@
-"""Exports of touches in the formats of other libraries, with a row for each touch or for each frame.
+"""Exports of touches in the formats of other libraries, and those with a row for each frame.
 
-The row of a touch has the image as it is stored, and columns that every table reader can read. If touches are
-clips, it shows one frame. A format packs the touches of a shard into its own files, and may write further
-files after the last shard. Rows of frames are numbered in episodes: clips, or rounds of single images.
+Rows of frames are numbered in episodes: clips, or rounds of single images.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from os import PathLike
 from typing import Literal, Unpack
 
@@ -17,19 +14,24 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import contact, touch_options
-from realtouch.convert import conversion, picture_files
-from realtouch.touches import datasets, loading, media, poses, rounds, schema, stored_round
+from realtouch import contact
+from realtouch.convert import conversion
+from realtouch.formats import touch_rows
+from realtouch.touches import datasets, loading, media, poses, schema, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import catalog, errors, kind, places, read, store
-from tactile_toolkit.touch import MEDIA_TYPE, ImageFormat, doubtful_images, intact_size
-from tactile_toolkit.value_types import AnyArray, Int64
+from tactile_toolkit.touch import IMAGE_SUFFIX, MEDIA_TYPE, intact_size
+from tactile_toolkit.value_types import AnyArray, Int64, JsonDict
 
-ExportLayout = Literal["flat", "webdataset", "lerobot", "minari", "oxt", "replay", "fota", "anytouch"]
+ExportLayout = Literal[
+    "png", "jpeg", "flat", "webdataset", "lerobot", "minari", "oxt", "replay", "fota", "anytouch"
+]
 EXPORTS = {
     layout: kind.lazy(f"realtouch.formats.{module}:plan_{layout}")
     for layout, module in {
-        "flat": "flat_parquet",
+        "png": "touch_rows",
+        "jpeg": "touch_rows",
+        "flat": "touch_rows",
         "webdataset": "tar_samples",
         "lerobot": "lerobot_export",
         "minari": "minari_export",
@@ -39,14 +41,6 @@ EXPORTS = {
         "anytouch": "media_files",
     }.items()
 }
-_TOUCH_IMAGE = "image"
-_WHERE = {"seq": "frame {}: ", "single": ""}
-_GROUP_BYTES = 32 << 20
-_MAX_ROWS_PER_GROUP = 1 << 14
-NamedImage = tuple[str, memoryview]
-"""The file name of an image, and its bytes as they are stored."""
-PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], conversion.Made]
-"""Makes the files of a shard from the plain columns and the images of its touches; also returns an index."""
 IMAGE = "observation.images.tactile"
 STATE = "observation.state"
 ACTION = "action"
@@ -77,6 +71,7 @@ def export(
     layout: ExportLayout,
     *,
     frame: str = "contact_end",
+    difference: touch_rows.Difference | None = None,
     **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
@@ -86,8 +81,11 @@ def export(
     source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
         As for :func:`realtouch.clips_to_images`.
     layout : str
-        ``"flat"``: Parquet with a row for each touch, for `datasets`, pandas and polars. ``"webdataset"``:
-        the same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
+        ``"png"`` and ``"jpeg"``: files ``images/SPLIT/ROUND/TOUCH.png``, each named in ``index.csv`` with its
+        checksum, label, position and pose; characters of an id other than letters, digits, ``-`` and ``_``
+        are percent-encoded. ``"flat"``: Parquet with a row for each touch, for `datasets`, pandas and polars.
+        ``"webdataset"``: the same in tars below ``webdataset/``, an image and a JSON file for each touch.
+        ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images,
         with depth maps if there are some; it holds one split. ``"minari"``: recorded episodes
         (:func:`tactile_envs.record`) for offline reinforcement learning. ``"oxt"``: Open-X-Tactile, the Zarr
@@ -97,6 +95,9 @@ def export(
     frame : str
         Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"``,
         ``"oxt"`` and ``"replay"`` take all.
+    difference : "grey" or "absolute", optional
+        Of ``"png"`` and ``"jpeg"``: write what differs from the background, as :func:`realtouch.difference`
+        gives it: from the median of the clip, or of the images of the round.
 
     Returns
     -------
@@ -117,154 +118,48 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    return conversion.write_conversion(source, out, _plan_of_layout(layout, frame), **job)
+    return conversion.write_conversion(source, out, _plan_of_layout(layout, frame, difference), **job)
 
 
 def plan_export(
     source: places.Name | places.Place,
     out: str | PathLike[str],
-    layout: ExportLayout | ImageFormat,
+    layout: ExportLayout,
     frame: str | None,
-    difference: picture_files.Difference | None,
+    difference: touch_rows.Difference | None,
     rows: catalog.RowFilter,
 ) -> store.BuildPlan:
-    """Plan what :func:`export`, or for ``"png"`` and ``"jpeg"`` :func:`realtouch.frames`, would write.
-
-    InputError, beside theirs, for a ``frame`` of single images.
-    """
-    method = frame or "contact_end"
-    if layout == "png" or layout == "jpeg":
-        plan = picture_files.plan_of_pictures(layout, method, difference)
-    else:
-        plan = _plan_of_layout(layout, method)
+    """Plan what :func:`export` would write; InputError, too, for a ``frame`` of single images."""
+    plan = _plan_of_layout(layout, frame or "contact_end", difference)
     build = conversion.plan_build(source, out, plan, rows)
     if frame is not None and build.spec["options"].get("frame") is None:
         raise errors.InputError("has no effect on single images", next="leave it out", field="clip_frame")
     return build
 
 
-def _plan_of_layout(layout: str, frame: str) -> conversion.Plan:
+def _plan_of_layout(layout: str, frame: str, difference: touch_rows.Difference | None) -> conversion.Plan:
     if layout not in EXPORTS:
         raise errors.InputError(f"there is no layout {layout!r}; expected {', '.join(EXPORTS)}")
+    if difference not in (None, "grey", "absolute"):
+        raise errors.InputError(
+            f"no difference {difference!r} that a picture can show; expected grey or absolute"
+        )
+    options: JsonDict = {"layout": layout}
+    if difference is not None:
+        if layout not in IMAGE_SUFFIX:
+            raise errors.InputError(
+                f"has no effect on {layout}; expected {' or '.join(IMAGE_SUFFIX)}", field="difference"
+            )
+        options["difference"] = difference
     method = contact.require_method(frame)
 
     def planned(opened: loading.Source, rows: catalog.RowFilter) -> conversion.Conversion:
         made: conversion.Conversion = EXPORTS[layout](
-            opened, conversion.chosen_rows(opened, rows), method, {"layout": layout}
+            opened, conversion.chosen_rows(opened, rows), method, options
         )
         return made
 
     return planned
-
-
-@dataclass(frozen=True)
-class TouchFormat:
-    """A format of files below ``folder``; without one, the rows are the format.
-
-    ``pack`` makes the files of a shard, ``write_files`` those that follow from all rows. With ``no_gaps`` no
-    shard may be empty, as the numbers of files have no gaps.
-    """
-
-    folder: str = ""
-    pack: PackTouches | None = None
-    write_files: conversion.WriteFiles = conversion.checksums
-    no_gaps: bool = False
-
-    def plan(
-        self,
-        source: loading.Source,
-        choices: conversion.Choices,
-        method: contact.ContactMethod,
-        options: Mapping[str, object],
-    ) -> conversion.Conversion:
-        """Plan an export with a row for each touch; for clips, ``method`` chooses the frame."""
-        if source.kind == "seq":
-            source.require_frame(method)
-            options = {**options, "frame": method}
-        pack = None if self.pack is None else partial(self._pack_shard, self.pack)
-        return conversion.Conversion(
-            source,
-            "export",
-            options,
-            _Touches(method, source.class_names),
-            conversion.marked_repetitions(source, choices),
-            rows_per_group=max(1, min(_MAX_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
-            extra_dirs=tuple(filter(None, [self.folder])),
-            write_files=self.write_files,
-            pack=pack,
-        )
-
-    def _pack_shard(
-        self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
-    ) -> conversion.Made:
-        """Return the files of a shard, with the plain columns as index; an empty shard has no files."""
-        index = rows.drop_columns([_TOUCH_IMAGE])
-        if len(rows):
-            return pack(shard, index, _images_of(rows[_TOUCH_IMAGE]))
-        if self.no_gaps:
-            raise errors.IntegrityError(
-                f"{shard}: every round was left out, the first because {skipped[0].message}; files are "
-                "numbered without gaps, so nothing of this file was written",
-                next="leave it out (`tactile select`)",
-            )
-        return conversion.with_files(index, {})
-
-
-def _images_of(column: pa.ChunkedArray) -> Iterator[NamedImage]:
-    """Yield the images of a column, without copies."""
-    for chunk in column.chunks:
-        for path, content in zip(chunk.field("path").to_pylist(), chunk.field("bytes"), strict=True):
-            yield path, memoryview(content.as_buffer()).cast("B")
-
-
-@dataclass(frozen=True)
-class _Touches:
-    """Step of ``export``: a round becomes a row for each touch; for clips, with the frame of the contact.
-
-    JPEGs pass through as they are stored. ``names`` are the names of the classes.
-    """
-
-    method: contact.ContactMethod
-    names: tuple[str, ...]
-
-    def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the plain columns that the source can fill."""
-        poses = [f"{name}.position" for name in POSE_COLUMN.values()]
-        sources: dict[str, tuple[pa.DataType, Sequence[str]]] = {
-            "id": (pa.string(), ()),
-            _TOUCH_IMAGE: (MEDIA_TYPE, ()),
-            "label": (pa.int64(), ()),
-            "label_name": (pa.string(), ()),
-            "object_id": (pa.int64(), ("object_id",)),
-            "round_id": (pa.string(), ()),
-            "touch": (pa.int64(), ()),
-            "frame": (pa.int64(), ()),
-            **dict.fromkeys(touch_options.POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
-            **dict.fromkeys(touch_options.POSE_COLUMNS, (pa.float64(), poses)),
-        }
-        return pa.schema(
-            [*conversion.schema_of(source, sources), *picture_files.plain_extras(source).values()]
-        )
-
-    def apply(
-        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
-    ) -> conversion.Made:
-        """Return the touches of a round; a round with a damaged touch is left out as a whole."""
-        row.label_value(self.names)
-        shown = picture_files.shown_touches(row, self.method)
-        columns = picture_files.columns_of_touches(row, shown, self.names)
-        images = shown.stored()
-        for touch in doubtful_images(images):
-            with row.naming(row.media_column, touch, _WHERE[row.kind].format(shown.frames[touch])):
-                intact_size(images[touch].as_py())
-        name = row.name()
-        stem = picture_files.stem_of_id(name)
-        columns["id"] = [rounds.touch_id(name, touch) for touch in range(len(shown))]
-        columns[_TOUCH_IMAGE] = media.image_column(
-            images, [rounds.touch_id(stem, touch) for touch in range(len(shown))]
-        )
-        table_schema = row.group.once("columns of an export", lambda: self.schema(row.group.table.schema))
-        return conversion.table_of_columns(table_schema, columns), {}
 
 
 @dataclass(frozen=True)

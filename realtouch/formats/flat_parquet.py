@@ -18,7 +18,6 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch.formats import exports
 from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches import schema as stored_schema
 from tactile_toolkit import cache, errors, read, store
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from pyarrow import parquet as pq
 
 
-plan_flat = exports.TouchFormat().plan
 _ENDING = ".parquet"
 _SPLIT = "split"
 _HIVE_NULL = "__HIVE_DEFAULT_PARTITION__"

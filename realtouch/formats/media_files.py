@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.convert import conversion, picture_files
-from realtouch.formats.exports import NamedImage, TouchFormat
+from realtouch.formats.touch_rows import NamedImage, TouchFormat
 from realtouch.importing import cuts, import_options, source_files, source_touches, streams
 from realtouch.touches import media
 from realtouch.video import video_files, videos
@@ -332,7 +332,7 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
     )
 
 
-plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
+plan_anytouch = TouchFormat((_ANYTOUCH_FOLDER,), _pack_anytouch, _write_lists).plan
 
 
 def find_anytouch(

@@ -21,7 +21,7 @@ from PIL import Image
 
 from realtouch import contact, touch_options
 from realtouch.convert import conversion
-from realtouch.formats import exports
+from realtouch.formats import exports, touch_rows
 from realtouch.touches import loading
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.value_types import AnyArray, JsonDict
@@ -49,7 +49,9 @@ def plan_minari(
             f"{source.name!r} holds no recorded episodes; Minari datasets hold episodes of a policy",
             next="record episodes with `tactile-envs record`, or choose another --format",
         )
-    return exports.TouchFormat(_FOLDER, write_files=_write_datasets).plan(source, choices, method, options)
+    return touch_rows.TouchFormat((_FOLDER,), write_files=_write_datasets).plan(
+        source, choices, method, options
+    )
 
 
 def _write_datasets(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:

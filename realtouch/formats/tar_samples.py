@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from realtouch import touch_options
 from realtouch.convert import conversion, picture_files
-from realtouch.formats import exports
+from realtouch.formats import touch_rows
 from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches import media
 from tactile_toolkit import errors, store
@@ -82,13 +82,15 @@ def _json_text(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> conversion.Made:
+def _pack(
+    shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.NamedImage]
+) -> conversion.Made:
     """Return the touches of a shard as one tar."""
     samples = ((*image, fields) for image, fields in zip(images, index.to_pylist(), strict=True))
     return conversion.with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
 
 
-plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
+plan_webdataset = touch_rows.TouchFormat((_FOLDER,), _pack).plan
 
 
 def find_webdataset(
@@ -258,7 +260,7 @@ def _fields(content: bytes) -> JsonDict:
 
 
 def _pack_fota(
-    shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]
+    shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.NamedImage]
 ) -> conversion.Made:
     """Return the touches of a shard as one tar."""
     samples = (
@@ -286,7 +288,7 @@ def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[st
     return conversion.checksums(folder, manifest) | conversion.write_changed(folder, files)
 
 
-plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps=True).plan
+plan_fota = touch_rows.TouchFormat((_FOTA_FOLDER,), _pack_fota, _write_counts, no_gaps=True).plan
 
 
 def find_fota(

@@ -178,10 +178,10 @@ def content_of(path: str | os.PathLike[str]) -> bytes:
 class ImportColumns:
     """Which columns of a table, fields of JSON files or arrays hold labels, positions and so on; their units.
 
-    Fields that are None are read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
-    write, if the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
-    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``; the pose also from those of FoTa, ``x_mm`` to
-    ``quat_w``. An empty text or tuple stands for no column. Every other column is kept as an extra one.
+    Fields that are None are read from the columns that :func:`realtouch.export` writes, if the source has
+    them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``, ``pos_in_cell_x_m`` and
+    ``_y_m``, ``gel_x_m`` to ``gel_qw``; the pose also from those of FoTa, ``x_mm`` to ``quat_w``. An empty
+    text or tuple stands for no column. Every other column is kept as an extra one.
 
     The end of its name states the unit of a column: ``_mm``, ``_cm`` or ``_m``; ``_deg`` or ``_rad``; ``_s``,
     ``_ms``, ``_us`` or ``_ns``. Otherwise it is ``length_unit``, ``angle_unit`` or ``time_unit``.

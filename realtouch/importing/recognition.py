@@ -15,7 +15,7 @@ from numpy.lib import format as npy_format
 from realtouch.importing import import_options, source_files
 from realtouch.kind import KIND
 from realtouch.video import video_files
-from tactile_toolkit import errors, places, store, wording
+from tactile_toolkit import errors, places, store, touch, wording
 from tactile_toolkit.columns import known_formats, tables
 
 BAG_ENDINGS = (".mcap", ".bag", ".bag.active", ".db3")
@@ -211,12 +211,14 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     if store.manifest_so_far(home) is None:
         return None
     data_set = places.open_place(home.address()).require(KIND, "realtouch import")
-    if data_set.spec.get("operation") not in ("export", "frames"):
+    if data_set.spec.get("operation") != "export":
         raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",
             next="open it with `realtouch.load`",
         )
-    layout = str(dict(data_set.spec["options"]).get("layout", "folder"))
+    layout = str(data_set.spec["options"]["layout"])
+    if layout in touch.IMAGE_SUFFIX:
+        layout = "folder"
     if layout not in import_options.IMPORT_LAYOUTS:
         raise errors.InputError(
             f"{home.address()!r} is an export for {layout}, which is not imported",

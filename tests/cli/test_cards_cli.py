@@ -37,7 +37,7 @@ def folders(tmp_path_factory, digits_set, scenes_set) -> dict[str, Path]:
     factories.write_set(seq, {"train": factories.seq_rows(truth[:1])}, "seq", Layout())
     realtouch.select(str(single), str(root / "single"))
     realtouch.select(str(seq), str(root / "seq"))
-    realtouch.frames(str(single), str(root / "frames"), "jpeg")
+    realtouch.export(str(single), str(root / "frames"), "jpeg")
     _write_synthetic(root / "synthetic", factories.single_rows(truth))
     assert call("tactile", "card", root / "synthetic", "--quiet") == 0
     made = {"mnist3d": digits_set, "starstruck": scenes_set}

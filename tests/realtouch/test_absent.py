@@ -94,7 +94,7 @@ def test_operations_that_need_an_absent_column_name_it(sets: Any, tmp_path: Path
     for ask in (
         lambda: record.contact_frames("peak"),
         lambda: realtouch.clips_to_images(clips, out, "peak"),
-        lambda: realtouch.frames(clips, out, frame="peak"),
+        lambda: realtouch.export(clips, out, "png", frame="peak"),
         lambda: realtouch.export(clips, out, "flat", frame="peak"),
     ):
         with pytest.raises(InputError, match=f"no column 'gel_pose_cell_frame_seq.position', {others}"):

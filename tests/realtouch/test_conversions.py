@@ -148,7 +148,10 @@ def test_selected_rounds_pass_through_whole(single_folder: Path, tmp_path: Path)
 def test_rows_are_checked_by_every_conversion(rows: Any, problem: str, single_folder: Path) -> None:
     """As options of the command line are, before anything is written."""
     out = single_folder.parent / "refused"
-    for convert in (realtouch.select, realtouch.frames, partial(realtouch.export, layout="flat")):
+    for convert in (
+        realtouch.select,
+        *(partial(realtouch.export, layout=layout) for layout in ("png", "flat")),
+    ):
         with pytest.raises(InputError, match=problem):
             convert(single_folder, out, **rows)
     assert not out.exists()
@@ -172,7 +175,7 @@ def test_exports_of_chosen_rows(single_folder: Path, tmp_path: Path, capsys: Any
 def test_plain_pictures(kind: Any, single_folder: Path, seq_folder: Path, tmp_path: Path) -> None:
     for source in (single_folder, seq_folder):
         out = tmp_path / source.name
-        realtouch.frames(str(source), str(out), kind, "peak")
+        realtouch.export(str(source), str(out), kind, frame="peak")
         with (out / "index.csv").open() as stream:
             lines = list(csv.DictReader(stream))
         assert len(lines) == 20
@@ -205,7 +208,7 @@ def test_plain_pictures(kind: Any, single_folder: Path, seq_folder: Path, tmp_pa
 
 def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "pictures"
-    realtouch.frames(str(single_folder), str(out), "jpeg")
+    realtouch.export(str(single_folder), str(out), "jpeg")
     result = realtouch.verify(str(out))
     assert (result.findings, result.rounds, result.touches) == ((), 4, 20)
     first, second = sorted((out / "images" / "train").rglob("*.jpg"))[:2]
@@ -256,13 +259,13 @@ def test_impossible_conversions_are_refused(seq_folder, single_folder, seq_rows,
         realtouch.clips_to_images(str(seq_folder), out, "finest")
     with pytest.raises(InputError, match="size 0 x 64"):
         realtouch.resize(str(single_folder), out, 0, 64)
-    with pytest.raises(InputError, match="no picture format 'gif'"):
-        realtouch.frames(str(single_folder), out, "gif")
+    with pytest.raises(InputError, match="there is no layout 'gif'"):
+        realtouch.export(str(single_folder), out, "gif")
     with pytest.raises(InputError, match="limit of the rows is 0"):
-        realtouch.frames(str(single_folder), out, limit=0)
+        realtouch.export(str(single_folder), out, "png", limit=0)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="is empty; expected a data set"):
-        realtouch.frames(str(tmp_path / "empty"), out)
+        realtouch.export(str(tmp_path / "empty"), out, "png")
     assert not Path(out).exists()
 
 

@@ -8,6 +8,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -99,24 +100,25 @@ def test_a_conversion_that_fails_gives_the_finished_set_back(small, single_rows,
     before = folder_bytes(small)
     damaged = edited(tmp_path / "damaged", single_rows, "single", cut_pictures(0, 1, 2))
     with pytest.raises(IntegrityError, match="no row is left: all 3 were left out"):
-        realtouch.frames(damaged, small, overwrite=True)
+        realtouch.export(damaged, small, "png", overwrite=True)
     assert folder_bytes(small) == before
 
 
-@pytest.mark.parametrize("name", ["resize", "frames", "frames-jpeg", "clips_to_images"])
+@pytest.mark.parametrize("name", ["resize", "export-png", "export-jpeg", "clips_to_images"])
 def test_a_source_without_intact_rounds_is_refused(name, single_rows, seq_rows, tmp_path):
     kind, rows = ("seq", seq_rows) if name == "clips_to_images" else ("single", single_rows)
     source = edited(tmp_path / "source", rows, kind, cut_pictures(0, 1, 2))
-    options = {"resize": (32, 24), "frames-jpeg": ("jpeg",)}.get(name, ())
+    name, _, layout = name.partition("-")
+    options = {"resize": (32, 24), "export": (layout,)}.get(name, ())
     with pytest.raises(IntegrityError, match=r"no row is left.* row 0, touch 3, field 'sensor_"):
-        getattr(realtouch, name.partition("-")[0])(source, tmp_path / "out", *options)
+        getattr(realtouch, name)(source, tmp_path / "out", *options)
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["frames", "clips_to_images"])
-def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], tmp_path: Path) -> None:
+@pytest.mark.parametrize("convert", [partial(realtouch.export, layout="png"), realtouch.clips_to_images])
+def test_a_damaged_frame_does_not_pass_through(convert: Any, seq_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", seq_rows, "seq", spoil_last_contact)
-    manifest = getattr(realtouch, name)(source, tmp_path / "out")
+    manifest = convert(source, tmp_path / "out")
     (skipped,) = manifest.shards[0].skipped
     assert skipped.id == 1
     assert "row 1, touch 2, field 'sensor_video': frame" in skipped.message
@@ -124,7 +126,7 @@ def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], 
 
 
 def test_invalid_pictures_are_found_although_their_checksum_is_right(small: Path, tmp_path: Path) -> None:
-    realtouch.frames(small, tmp_path / "out", "jpeg")
+    realtouch.export(small, tmp_path / "out", "jpeg")
     assert realtouch.verify(tmp_path / "out").ok
     picture = next((tmp_path / "out" / "images").rglob("*.jpg"))
     cut = picture.read_bytes()[:-40]
@@ -147,7 +149,7 @@ def test_invalid_pictures_are_found_although_their_checksum_is_right(small: Path
 def test_ids_that_are_no_file_names_are_escaped(name: str, single_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", single_rows, "single", with_ids("good", name, "日本 ü.1"))
     inside = tmp_path / "deep" / "in" / "here"
-    manifest = realtouch.frames(source, inside)
+    manifest = realtouch.export(source, inside, "png")
     assert manifest.split_table()["train"]["rows"] == 15
     stem = stem_of_id(name)
     assert not problem_of_name(stem)
@@ -175,7 +177,7 @@ def test_names_of_files_are_those_of_one_id() -> None:
 @pytest.mark.thorough
 def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", single_rows, "single", with_ids("same", "other", "same"))
-    manifest = realtouch.frames(source, tmp_path / "out", "jpeg", workers=2)
+    manifest = realtouch.export(source, tmp_path / "out", "jpeg", workers=2)
     (skipped,) = manifest.shards[0].skipped
     assert skipped.id == 2
     assert "'same' is also the id of an earlier round of split 'train'" in skipped.message
@@ -190,7 +192,7 @@ def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Pat
 @pytest.mark.parametrize("damage", ["remove", "change"])
 def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    realtouch.frames(single_folder, out)
+    realtouch.export(single_folder, out, "png")
     whole = folder_bytes(out)
     victim = sorted((out / "images" / "train").rglob("*.png"))[4]
     if damage == "remove":
@@ -199,8 +201,12 @@ def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path
         victim.write_bytes(b"other")
     assert not realtouch.verify(out).ok
     made: list[int] = []
-    realtouch.frames(
-        single_folder, out, check=damage == "change", on_progress=lambda progress: made.append(progress.total)
+    realtouch.export(
+        single_folder,
+        out,
+        "png",
+        check=damage == "change",
+        on_progress=lambda progress: made.append(progress.total),
     )
     assert made[0] == 3  # the rounds of the train shard; that of the test split is whole
     assert folder_bytes(out) == whole
@@ -241,7 +247,7 @@ def _die(source: str, out: str, moment: int) -> None:
 
     warnings.simplefilter("error")
     sys.addaudithook(watch)
-    realtouch.frames(source, out)
+    realtouch.export(source, out, "png")
 
 
 def killed(source: Path, out: Path, moment: int) -> bool:
@@ -254,7 +260,7 @@ def killed(source: Path, out: Path, moment: int) -> bool:
 
 @pytest.mark.thorough
 def test_killed_again_and_again_it_ends_with_the_same_bytes(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.frames(single_folder, tmp_path / "whole")
+    realtouch.export(single_folder, tmp_path / "whole", "png")
     again, half = tmp_path / "again", tmp_path / "half"
     for moment in (9, 30, 16):  # each gets further than the one before: to the manifest, a shard, a record
         assert killed(single_folder, again, moment)
@@ -263,7 +269,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(single_folder: Path,
         assert killed(single_folder, half, moment)
         moment += 1
     for out in (again, half):
-        realtouch.frames(single_folder, out)
+        realtouch.export(single_folder, out, "png")
         assert not list(out.glob(".pending/tmp-*"))
         assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
 
@@ -276,7 +282,7 @@ def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (6_000, resource.RLIM_INFINITY))\n"
         "try:\n"
-        "    realtouch.frames(sys.argv[1], sys.argv[2], 'png')\n"
+        "    realtouch.export(sys.argv[1], sys.argv[2], 'png')\n"
         "except StorageError as error:\n"
         "    print(error)\n"
     )

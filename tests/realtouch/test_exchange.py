@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.formats import exports
+from realtouch.formats import touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -88,7 +88,7 @@ def test_every_reader_of_tables_reads_flat_touches(source: Path, tmp_path: Path)
 
 def test_row_groups_hold_as_many_touches_as_their_bytes_allow(single_folder, tmp_path, monkeypatch):
     largest = max(len(row["image"]) for row in expected(single_folder))
-    monkeypatch.setattr(exports, "_GROUP_BYTES", 5 * largest)
+    monkeypatch.setattr(touch_rows, "_GROUP_BYTES", 5 * largest)
     realtouch.export(single_folder, tmp_path, "flat", split="train")
     (file,) = (pq.ParquetFile(path).metadata for path in (tmp_path / "data").iterdir())
     rows = [file.row_group(number).num_rows for number in range(file.num_row_groups)]

@@ -247,13 +247,10 @@ FLAT = {
 }
 
 
-@pytest.mark.parametrize("layout", ["flat", "frames"])
+@pytest.mark.parametrize("layout", ["flat", "png"])
 def test_tables_of_exports_have_them_as_plain_columns(layout: Any, images: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    if layout == "frames":
-        realtouch.frames(images, out, split="train")
-    else:
-        realtouch.export(images, out, layout, split="train")
+    realtouch.export(images, out, layout, split="train")
     table = pq.read_table(out / "data/train-00000-of-00001.parquet")
     for name, values in FLAT.items():
         assert table[name].to_pylist() == values

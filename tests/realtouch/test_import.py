@@ -68,7 +68,7 @@ def test_an_export_comes_back(layout: str, kind: str, request: pytest.FixtureReq
 def test_fields_that_are_not_imported_are_counted(single_folder, tmp_path, capsys):
     """Columns that are named give the same set, by any number of workers."""
     there, back = tmp_path / "there", tmp_path / "back"
-    realtouch.frames(single_folder, there, "jpeg")
+    realtouch.export(single_folder, there, "jpeg")
     assert call("realtouch", "import", there, "--format", "folder", "--out", back, "--workers", 1) == 0
     assert "has the checksum of their list" in (back / "README.md").read_text()
     assert "names and fingerprints each file" in (there / "README.md").read_text()

@@ -29,7 +29,7 @@ def lists(server: Any) -> list[str]:
 def test_imports_from_a_store_equal_those_from_a_folder(layout, single_folder, tmp_path, s3, bucket):
     columns = COLUMNS
     if layout == "folder":
-        realtouch.frames(single_folder, tmp_path / "there", "jpeg")
+        realtouch.export(single_folder, tmp_path / "there", "jpeg")
         (tmp_path / "there" / "images" / "train").rename(tmp_path / "there" / "images" / "moved")
         index = (tmp_path / "there" / "index.csv").read_text().replace("images/train/", "images/moved/", 3)
         (tmp_path / "there" / "index.csv").write_text(index.replace("images/train/", "./images/moved/"))

@@ -134,7 +134,7 @@ def data_sets(folder: Path) -> dict[str, Any]:
     realtouch.resize(clips, folder / "resized-clips", width=48, height=36)
     realtouch.resize(images, folder / "resized-images", width=48, height=36)
     realtouch.select(images, folder / "selected", contact=True)
-    realtouch.frames(clips, folder / "frames")
+    realtouch.export(clips, folder / "frames", "png")
     found = {
         str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest()
         for file in sorted(folder.rglob("*.parquet"))
