@@ -16,8 +16,7 @@ from typer.core import TyperCommand
 
 from cli.options import DEBUG_VARIABLE, GENERAL, Debug, Version, option_label, with_options
 from cli.output import Output
-from tactile_toolkit import wording
-from tactile_toolkit.errors import InputError, ToolkitError, require_public
+from tactile_toolkit import errors, wording
 from tactile_toolkit.value_types import JsonValue
 
 EXIT_FAILED = 1
@@ -101,13 +100,13 @@ class _Command(TyperCommand):
         """Turn the toolkit's errors into messages and exit codes, or let the traceback through."""
         try:
             yield
-        except (ToolkitError, OSError) as error:
+        except (errors.ToolkitError, OSError) as error:
             if os.environ.get(DEBUG_VARIABLE):
                 raise
             if isinstance(error, OSError):
                 if error.filename is None:
                     raise
-                error = InputError.of_system(error)
+                error = errors.InputError.of_system(error)
             message = error.naming(self._option(error.field))
             sys.stderr.write(f"error: {wording.printable(message)}\n")
             raise typer.Exit(error.exit_code) from error
@@ -178,7 +177,7 @@ def run(app: typer.Typer) -> None:
             no_memory = no_memory or "failed to map segment" in str(error)  # of a shared library
             if os.environ.get(DEBUG_VARIABLE) or not no_memory:
                 raise
-            refused = InputError(
+            refused = errors.InputError(
                 "there is not enough memory",
                 next="give this command more (`ulimit -v`, or the limit of the job), or run it with fewer "
                 "--workers",
@@ -197,11 +196,11 @@ def _dispatch(app: typer.Typer) -> None:
     """
     for word in sys.argv[1:]:
         try:
-            require_public(word)
+            errors.require_public(word)
             # Names are stored in data sets and printed, and Arrow opens no file whose name is not UTF-8.
             if word.encode(errors="ignore").decode() != word:
-                raise InputError(f"{word!r} is not valid UTF-8", next="give another name")
-        except InputError as error:
+                raise errors.InputError(f"{word!r} is not valid UTF-8", next="give another name")
+        except errors.InputError as error:
             sys.stderr.write(f"error: {error}\n")
             raise SystemExit(error.exit_code) from None
     word = next(iter(sys.argv[1:]), "")

@@ -288,8 +288,8 @@ def with_options(
 
     @wraps(function)
     def call(context: typer.Context, **values: object) -> None:
-        # pyarrow would import pandas, which takes a second and swallows a Ctrl-C.
-        run.skip_pandas()
+        # Without pandas, whose import takes a second and swallows a Ctrl-C.
+        run.prepare_command(quiet=values.get("quiet") is True)
         _refuse_without_effect(context, options)
         arguments = {name: value for name, value in known.items() if name in taken}
         for name, group in groups.items():

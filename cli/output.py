@@ -45,10 +45,6 @@ class Sink:
         False, name="--quiet -q", panel="General", help="Print neither progress nor tables, only errors."
     )
 
-    def __post_init__(self) -> None:
-        if self.quiet:
-            os.environ[run.QUIET_VARIABLE] = "1"
-
     def document(self, content: JsonValue) -> None:
         """Print the JSON document of the command, if ``--json`` was given."""
         if self.as_json:

@@ -355,6 +355,7 @@ def train(
     # `torchrun` starts this command once for each GPU, numbered by RANK: only the first one prints.
     if os.environ.get("RANK", "0") != "0":
         sink = output.Sink(quiet=True)
+        run.prepare_command(quiet=True)
     with sink.progress("training", "steps") as update:
         done = _train(pairs, str(out), settings, train_run, on_progress=update)
     # JSON has no NaN; losses are NaN if no step was left.

@@ -17,8 +17,7 @@ import realtouch
 import starstruck_gen
 from env_assets import mesh_view
 from env_assets.wrench.dataset import WrenchDataset
-from tactile_toolkit import checked_fields, errors, mesh, read, run, store
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit import checked_fields, errors, kind as kinds, mesh, read, run, store
 from tactile_toolkit.mesh import SolidDataset
 from tactile_toolkit.places import open_place
 from tactile_toolkit.wording import did_you_mean
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
     from tactile_toolkit.generation import DefaultSet
 
 
-KINDS: dict[str, DatasetKind] = {
-    kind.name: kind for kind in DatasetKind.installed() if kind.default_set is not None
+KINDS: dict[str, kinds.DatasetKind] = {
+    kind.name: kind for kind in kinds.DatasetKind.installed() if kind.default_set is not None
 }
 """Assets that the toolkit can make without any input, by name."""
 _ABC = "TimSchneider42/tactile-mnist-abc-dataset-small"
@@ -73,7 +72,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> 
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
     mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
-    kind = DatasetKind.of_columns(read.column_names(table.schema), read.class_names(table.schema, ()))
+    kind = kinds.DatasetKind.of_columns(read.column_names(table.schema), read.class_names(table.schema, ()))
     expected = KINDS.get(needed or name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
     accepts_unknown = needed or expected is None or not expected.published

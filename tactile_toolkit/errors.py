@@ -86,6 +86,11 @@ class ToolkitError(Exception):
         """What was found, without the next step."""
         return wording.printable(f"{self.field} {self._found}".removeprefix(" "))
 
+    @property
+    def step(self) -> str:
+        """The next step; empty if none is stated."""
+        return self._next.removeprefix("; next: ")
+
     def naming(self, field: str) -> str:
         """Return the message with another name for its parameter, such as that of an option."""
         return f"{field} {self._found}{self._next}".removeprefix(" ")

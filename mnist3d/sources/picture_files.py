@@ -33,7 +33,6 @@ from tactile_toolkit.errors import (
     ItemError,
     MissingExtraError,
     ToolkitError,
-    install_line,
     needs_extra,
 )
 from tactile_toolkit.value_types import Bool, UInt8
@@ -270,13 +269,14 @@ def _named_errors(path: Path) -> Iterator[None]:
         if isinstance(error, Image.DecompressionBombError):
             next_step = "store it with fewer pixels; 20 million are more than enough"
         if isinstance(error, MissingExtraError):
-            next_step = f"{install_line('svg')}, or save it as PNG"
+            next_step = f"{error.step}, or save it as PNG"
         if (
             ending in touch.PICTURE_ENDINGS["HEIF"]
             and isinstance(error, UnidentifiedImageError)
             and "HEIF" not in touch.picture_formats()
         ):
-            next_step = f"{install_line('heic')}, or store it as JPEG"
+            missing = MissingExtraError("HEIF", "pillow-heif", "heic")
+            next_step = f"{missing.step}, or store it as JPEG"
         message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
         known = known_formats.KnownFormat.of_file(path) if isinstance(error, UnidentifiedImageError) else None
         if known is not None:

@@ -124,7 +124,7 @@ def _folder_values(path: str, rows: int) -> dict[str, pa.Array]:
     for folder in path.split("/")[:-1]:
         name, _, value = folder.partition("=")
         if name and value and value != _HIVE_NULL:
-            column = column_types.from_text(pa.array([urllib.parse.unquote(value)]))
+            column = column_types.column_of(pa.array([urllib.parse.unquote(value)]), from_text=True)
             values[urllib.parse.unquote(name)] = column.take(pa.array(np.zeros(rows, np.int64)))
     return values
 

@@ -132,7 +132,7 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
     for field in names:
         column = column_types.column_of([sample.values.get(field) for sample in samples])
         if pa.types.is_string(column.type) and any(field in sample.endings for sample in samples):
-            column = column_types.from_text(column)
+            column = column_types.column_of(column, from_text=True)
         fields[field.encode(errors="backslashreplace").decode()] = column
     return source_touches.SourceTouches.of(
         [sample.key for sample in samples],

@@ -179,7 +179,7 @@ def origin_of(schema: pa.Schema, manifest: store.Manifest | None) -> Origin:
 
 def sensor_of(schema: pa.Schema, manifest: store.Manifest | None) -> str | None:
     """Return the name of the sensor of touches; None for imported ones that do not state it."""
-    stated = None if manifest is None else touch.sensor_name(manifest.spec)
+    stated = None if manifest is None else manifest.sensor
     if stated is None and origin_of(schema, manifest) != "imported":
         return touch.GELSIGHT_MINI
     return stated

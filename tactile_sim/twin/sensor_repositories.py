@@ -8,9 +8,8 @@ from pathlib import Path
 
 from tactile_sim.press.sensors import SENSORS, SensorModel
 from tactile_sim.twin.twin_files import ARRAYS_FILE, SENSOR_FILE, open_sensor_output
-from tactile_toolkit import __version__, cards, exchange, hub, store
+from tactile_toolkit import __version__, cards, exchange, hub, kind, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import markdown_text
 
 _FILES = (ARRAYS_FILE, SENSOR_FILE)
@@ -85,7 +84,7 @@ class SensorDownload:
 
         Raises InputError for other names, and HubError as the Hub answers.
         """
-        if DatasetKind.of_published(name) is not None:
+        if kind.DatasetKind.of_published(name) is not None:
             return None
         repository = hub.HubRepository.named(name, revision, on_wait)
         return cls(repository, out) if SENSOR_FILE in repository.remote else None

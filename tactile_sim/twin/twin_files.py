@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,12 +29,8 @@ _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels
 """Numbers that every report must hold."""
 
 
-def open_sensor_output(folder: str | Path, **options: Any) -> store.Output:
-    """Open the folder of a sensor to be written; InputError if it holds a sensor or other files.
-
-    ``options`` are ``overwrite`` and ``next`` of :func:`tactile_toolkit.store.open_output`.
-    """
-    return store.open_output(folder, (ARRAYS_FILE, SENSOR_FILE), is_alone=True, **options)
+open_sensor_output = partial(store.open_output, names=(ARRAYS_FILE, SENSOR_FILE), is_alone=True)
+"""Opens the folder of a sensor to be written; InputError if it holds a sensor or other files."""
 
 
 def write_sensor(folder: str, model: SensorModel, twin: Twin, *, overwrite: bool = False) -> None:

@@ -107,12 +107,6 @@ def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
     return bool((np.isinf(numbers) | (is_whole & (np.abs(numbers) >= _MAX_EXACT))).any())
 
 
-def from_text(texts: pa.Array) -> pa.Array:
-    """Convert texts to a column of the type that they state."""
-    words = _words_of(texts)
-    return _as_type(texts, words, _text_type(words))
-
-
 def _as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
     """Return texts, whose words are known, as a column of a type of :func:`_text_type`."""
     if pa.types.is_null(kind):
@@ -202,12 +196,17 @@ class ColumnTypes:
         return _words_of(values.combine_chunks(), decimal_commas=self._decimal_commas)
 
 
-def column_of(values: pa.Array | pa.ChunkedArray | AnyArray | Iterable[object]) -> pa.Array:
-    """Return the column of values of Arrow, numpy, JSON or Python.
+def column_of(
+    values: pa.Array | pa.ChunkedArray | AnyArray | Iterable[object], *, from_text: bool = False
+) -> pa.Array:
+    """Return the column of values of Arrow, numpy, JSON or Python, or ``from_text`` of what texts state.
 
     Nested lists and arrays of shape (n, ...) become lists, row by row. In values of JSON, numbers beside
     texts or booleans become text.
     """
+    if from_text:
+        words = _words_of(values)
+        return _as_type(values, words, _text_type(words))
     if isinstance(values, (pa.Array, pa.ChunkedArray)):
         return _plain(_supported(values))
     if isinstance(values, np.ndarray):

@@ -270,8 +270,7 @@ def open_source(kind: DatasetKind, name: places.Name | places.Place, command: st
         return Source(place, None, False, shards)
     options = manifest.spec.get("options") or {}
     is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
-    sensor = touch.sensor_name(manifest.spec)
-    return Source(place, manifest.made_by or None, is_imported, shards, sensor)
+    return Source(place, manifest.made_by or None, is_imported, shards, manifest.sensor)
 
 
 def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:

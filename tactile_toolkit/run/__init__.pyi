@@ -10,6 +10,7 @@ from .this_process import (
     one_blas_thread as one_blas_thread,
     Part as Part,
     prepare_batch_process as prepare_batch_process,
+    prepare_command as prepare_command,
     QUIET_VARIABLE as QUIET_VARIABLE,
     shown_progress as shown_progress,
     skip_pandas as skip_pandas,

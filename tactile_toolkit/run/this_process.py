@@ -211,6 +211,13 @@ def keep_memory() -> None:
         set_option(mmap_threshold, 32 << 20)
 
 
+def prepare_command(*, quiet: bool) -> None:
+    """Set up a process that runs one command; with ``quiet``, it and its workers print no notes."""
+    if quiet:
+        os.environ[QUIET_VARIABLE] = "1"
+    skip_pandas()
+
+
 def skip_pandas() -> None:
     """Keep pyarrow from importing pandas, which it does at its first array to recognise a Series.
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import zip_longest
+from pathlib import PurePath
 from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import msgspec
@@ -295,6 +296,19 @@ class Manifest:
     def made_by(self) -> JsonObject:
         """Specification by which the rows were first made, also of a copy; empty if it is not known."""
         return self.spec.get("source_spec", self.spec) or {}
+
+    @property
+    def sensor(self) -> str | None:
+        """Name of the sensor that the specification states, its own or that of a copied set; or None."""
+        options = (self.spec.get("source_spec") or self.spec).get("options")
+        if not isinstance(options, dict):
+            return None
+        settings = options.get("config")  # those of an environment
+        stated = options.get("sensor") or (isinstance(settings, dict) and settings.get("sensor_model"))
+        if isinstance(stated, str):  # a known name, a JSON file or the folder of a twin
+            return PurePath(stated).stem
+        name = stated.get("name") if isinstance(stated, dict) else None
+        return name if isinstance(name, str) else None
 
     @property
     def is_copy(self) -> bool:

@@ -6,7 +6,6 @@ from .contact import (
     GELSIGHT_MINI as GELSIGHT_MINI,
     HeightRule as HeightRule,
     sensor_family as sensor_family,
-    sensor_name as sensor_name,
     size_option as size_option,
 )
 from .images import (

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import PurePath
 from typing import ClassVar, Literal
 
 from tactile_toolkit import checked_fields, errors, wording
-from tactile_toolkit.value_types import JsonObject, JsonValue
+from tactile_toolkit.value_types import JsonValue
 
 CELL_M = (0.12, 0.12)
 """Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""
@@ -32,19 +31,6 @@ _PUBLISHED = "info."
 GELSIGHT_MINI = "gelsight-mini"
 """Name of the sensor of the published sets, and of simulated ones unless they state another."""
 _FAMILIES = ("gelsight", "digit")
-
-
-def sensor_name(spec: JsonObject) -> str | None:
-    """Return the name of the sensor that a specification states, its own or that of a copied set; or None."""
-    options = (spec.get("source_spec") or spec).get("options")
-    if not isinstance(options, dict):
-        return None
-    settings = options.get("config")  # those of an environment
-    sensor = options.get("sensor") or (settings.get("sensor_model") if isinstance(settings, dict) else None)
-    if isinstance(sensor, str):  # a known name, a JSON file or the folder of a twin
-        return PurePath(sensor).stem
-    name = sensor.get("name") if isinstance(sensor, dict) else None
-    return name if isinstance(name, str) else None
 
 
 def sensor_family(name: str | None) -> str:

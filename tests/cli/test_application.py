@@ -136,7 +136,7 @@ def test_a_path_that_the_system_refuses_is_input(words, tmp_path, monkeypatch, c
 def test_pandas_is_left_out_before_a_command_begins(monkeypatch):
     """It would swallow a Ctrl-C during its import by pyarrow."""
     app, order = new_app("toy", "A toy."), []
-    monkeypatch.setattr("tactile_toolkit.run.skip_pandas", lambda: order.append("left out"))
+    monkeypatch.setattr("tactile_toolkit.run.this_process.skip_pandas", lambda: order.append("left out"))
 
     @command(app)
     def make(sink: Sink) -> None:

@@ -482,7 +482,10 @@ def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
     assert kept(touches_of(pictures, "whole"), columns) == ("extra_seq.new", [values])
     if not any(isinstance(value, list) for value in values):
         words = pa.array(["" if each is None else str(each) for each in values])
-        assert kept(touches({"x": column_types.from_text(words)}), columns) == ("extra.new", values)
+        assert kept(touches({"x": column_types.column_of(words, from_text=True)}), columns) == (
+            "extra.new",
+            values,
+        )
 
 
 def any_is_known(values: list[Any]) -> bool:

@@ -33,7 +33,7 @@ TEXT, LIST = pa.string(), pa.list_(pa.int64())
     ],
 )
 def test_types_of_text(values: list[Any], data_type: pa.DataType) -> None:
-    column = column_types.from_text(pa.array(values, TEXT))
+    column = column_types.column_of(pa.array(values, TEXT), from_text=True)
     assert column.type == data_type
     if data_type == TEXT:
         assert column.to_pylist() == values
