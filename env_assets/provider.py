@@ -71,10 +71,10 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> 
         import_module(module)
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
-    mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
-    kind = kinds.DatasetKind.of_columns(read.column_names(table.schema), read.class_names(table.schema, ()))
+    stated = SolidDataset.classes_of(shards, name, KINDS["mnist3d"].made_by, None)
+    kind = kinds.DatasetKind.of_columns(read.column_names(table.schema), stated or ())
     expected = KINDS.get(needed or name)
-    names = read.class_names(table.schema, getattr(kind, "class_names", ()))
+    names = getattr(kind, "class_names", ()) if stated is None else stated
     accepts_unknown = needed or expected is None or not expected.published
     if expected is not None and kind is not expected and (kind is not None or not accepts_unknown):
         step = f"give a data set of {expected.nouns}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
+import multiprocessing
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -40,6 +41,7 @@ _FORMAT = 3
 _CHUNK = 128
 # Fewer chunks are packed before workers would have started.
 _FEW_CHUNKS = 8
+_MAX_WORKERS = 16  # each takes about 300 MB of memory
 # In seconds; shorter work shows no progress.
 _QUIET_S = 2.0
 _LOOK_AGAIN_S = 5.0
@@ -217,6 +219,16 @@ class GrowingPool(MeshPool):
         return True
 
 
+def free_workers() -> int:
+    """Return the default number of worker processes: one for each core.
+
+    In a worker of another program, which may start none, the number is 1: this process.
+    """
+    if multiprocessing.current_process().daemon:
+        return 1
+    return min(run.usable_cores(), _MAX_WORKERS)
+
+
 def _name_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
     is_flat = isinstance(records, mesh_view.MeshView) and records.flat
@@ -235,7 +247,7 @@ def _chunks_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float) -> list
     firsts = range(0, len(records), _CHUNK)
     workers = 1
     if len(firsts) > _FEW_CHUNKS:
-        workers = run.free_workers()
+        workers = free_workers()
     chunks: dict[int, Parts] = {}
     with run.shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
         for first, parts in run.runner_for(workers).run(partial(_packed_chunk, records, tilt_rad), firsts):

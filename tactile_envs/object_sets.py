@@ -25,7 +25,7 @@ from env_assets import AssetProvider, MeshView, mesh_view, provider
 from env_assets.provider import KINDS
 from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
-from tactile_toolkit import mesh, run
+from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.wording import duration_text, printable, with_count
@@ -120,7 +120,7 @@ def _records(
 
 def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
     """Return the set that is made in the working folder, or begin to make it."""
-    provider = AssetProvider(generate=True, workers=run.free_workers())
+    provider = AssetProvider(generate=True, workers=mesh_pool.free_workers())
     finished = provider.finished(name, split)
     if finished is not None:
         return finished
@@ -142,7 +142,7 @@ def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
 def _announce(
     view: mesh_view.PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
 ) -> None:
-    cores = run.free_workers()
+    cores = mesh_pool.free_workers()
     duration = f"{duration_text(view.left_s / cores)} on {with_count(cores, 'cores')}"
     how = "This environment needs all of them first."
     if may_begin:

@@ -189,12 +189,6 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
     return int(_integer_rule(least, most, False, {}).checked(value, name))
 
 
-def checked_number(value: object, name: str) -> float:
-    """Return a finite number; InputError, which begins with ``name``, for anything else."""
-    rule: Rule = real().metadata[_RULE]
-    return float(rule.checked(value, name))
-
-
 def split_counts(
     value: object, name: str, splits: Sequence[str], most: int = _MAX_INTEGER, of: str = ""
 ) -> tuple[tuple[str, int], ...]:

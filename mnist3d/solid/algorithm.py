@@ -29,8 +29,8 @@ from mnist3d.digit_options import SizeKeywords, SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
+from tactile_toolkit import mesh as meshes
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import MM_PER_M, Mesh, connected, with_flat_underside
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 
 CHORD_LOSS = 0.11
@@ -69,7 +69,7 @@ def solidify(
     ink: Literal["auto", "dark", "light"] = "auto",
     threshold: Literal["auto", "local", "global"] = "auto",
     **size: Unpack[SizeKeywords],
-) -> Mesh:
+) -> meshes.Mesh:
     """Turn a picture into a closed, printable mesh; ``mnist3d solidify`` makes the same one.
 
     Parameters
@@ -119,7 +119,9 @@ def solidify(
     return solid_of_ink(sized, base_mm, method)
 
 
-def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, method: str = "fast") -> Mesh:
+def solid_of_ink(
+    sized: picture_ink.SizedInk, base_mm: float | None = None, method: str = "fast"
+) -> meshes.Mesh:
     """Build the solid of ink on its sheet; see :func:`solidify`."""
     if method == "literal":
         made = literal_solid(sized.mask, sized.spec)
@@ -127,7 +129,7 @@ def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, meth
         made = solid_steps(sized.mask, sized.spec).mesh
     if not sized.is_drawing:
         made = fit_to_size(made, sized.size)
-        return made if base_mm is None else with_flat_underside(made, base_mm)
+        return made if base_mm is None else meshes.with_flat_underside(made, base_mm)
     thickness_mm = sized.spec.half_thickness_mm * (2 if base_mm is None else 1)
     if sized.spec.lattice_pitch_mm is not None:
         for tolerance_mm in FLAT_MM:
@@ -135,11 +137,11 @@ def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, meth
             # Without some vertices, the surface may cross itself.
             with suppress(ItemError):
                 if simpler is not None:
-                    return with_flat_underside(fit_to_size(simpler, sized.size), base_mm, thickness_mm)
-    return with_flat_underside(fit_to_size(made, sized.size), base_mm, thickness_mm)
+                    return meshes.with_flat_underside(fit_to_size(simpler, sized.size), base_mm, thickness_mm)
+    return meshes.with_flat_underside(fit_to_size(made, sized.size), base_mm, thickness_mm)
 
 
-def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> Mesh:
+def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> meshes.Mesh:
     """Build the solid of a digit that a source has drawn on its sheet, dark ink on light paper.
 
     For a drawing, parts as thin as its strokes are kept, such as the dot of an i.
@@ -167,7 +169,7 @@ class SolidSteps(NamedTuple):
     lattice: Lattice
     upper_half: Float32
     surface: Surface
-    mesh: Mesh
+    mesh: meshes.Mesh
 
 
 def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
@@ -305,7 +307,7 @@ def mirror(upper: Surface) -> Surface:
     return replace(upper, vertices_px=np.concatenate([upper.vertices_px, below]), faces=faces)
 
 
-def scale(surface: Surface, shape: tuple[int, ...], spec: SolidSpec) -> Mesh:
+def scale(surface: Surface, shape: tuple[int, ...], spec: SolidSpec) -> meshes.Mesh:
     """Convert a surface from pixels of an image of the given shape to metres, and set it on the plate.
 
     The centre of the image becomes the origin, the lowest point lies at z = 0. Vertices end on the grid on
@@ -319,10 +321,10 @@ def scale(surface: Surface, shape: tuple[int, ...], spec: SolidSpec) -> Mesh:
         # Rounded about the mid-plane, where up and down round alike, and only then set on the plate.
         vertices_mm = np.round(vertices_mm / spec.vertex_quantum_mm) * spec.vertex_quantum_mm
     vertices_mm[:, 2] -= vertices_mm[:, 2].min()
-    return Mesh((vertices_mm / MM_PER_M).astype(np.float32), surface.faces)
+    return meshes.Mesh((vertices_mm / meshes.MM_PER_M).astype(np.float32), surface.faces)
 
 
-def fit_to_size(solid: Mesh, size: SolidSize) -> Mesh:
+def fit_to_size(solid: meshes.Mesh, size: SolidSize) -> meshes.Mesh:
     """Scale a solid along x and y to a given height or width; the thickness stays.
 
     The size of the pixels does not determine it: the outline lies between pixels, cleaning moves it, and the
@@ -336,11 +338,11 @@ def fit_to_size(solid: Mesh, size: SolidSize) -> Mesh:
     vertices_m = solid.vertices_m.astype(np.float64)
     low, high = vertices_m[:, :2].min(axis=0), vertices_m[:, :2].max(axis=0)
     vertices_m[:, :2] -= (low + high) / 2
-    vertices_m[:, :2] *= asked_mm / MM_PER_M / float(high[axis] - low[axis])
-    return Mesh(vertices_m.astype(np.float32), solid.faces)
+    vertices_m[:, :2] *= asked_mm / meshes.MM_PER_M / float(high[axis] - low[axis])
+    return meshes.Mesh(vertices_m.astype(np.float32), solid.faces)
 
 
-def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh:
+def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> meshes.Mesh:
     """Build the solid of clean ink as the paper prints it: the reference for the fast method, slow and plain.
 
     Binary layers at full resolution, marching cubes on the binary stack, smoothing, then decimation to the
@@ -418,7 +420,7 @@ def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int,
     the mid-plane.
     """
     corners = faces.astype(np.int64)
-    least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)
+    least = meshes.connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)
     bodies = int(np.count_nonzero(least == np.arange(vertices)))
     # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
     euler = vertices - len(faces) // 2
@@ -427,7 +429,7 @@ def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int,
     return bodies, bodies - euler // 2
 
 
-def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
+def decimate(mesh: meshes.Mesh, target_vertices: int) -> meshes.Mesh:
     """Remove the least important vertices until the budget is met; a smaller mesh is returned unchanged.
 
     A mesh with 1.5 to 3 times the budget may keep up to 1.5 times. Raises ItemError ``vertex-budget`` if
@@ -463,7 +465,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     return _mesh_of(solid)
 
 
-def without_flat_vertices(mesh: Mesh, tolerance_mm: float) -> Mesh | None:
+def without_flat_vertices(mesh: meshes.Mesh, tolerance_mm: float) -> meshes.Mesh | None:
     """Remove vertices that change the surface by a tolerance at most; None if bodies or holes would be lost.
 
     Fine lattices have many of them in even parts: a drawing keeps a fifth of its triangles. The result may
@@ -474,10 +476,10 @@ def without_flat_vertices(mesh: Mesh, tolerance_mm: float) -> Mesh | None:
     return _mesh_of(solid) if _keeps_topology(solid, counts) else None
 
 
-def _mesh_of(solid: manifold3d.Manifold) -> Mesh:
-    mesh = Mesh.from_manifold(solid)
+def _mesh_of(solid: manifold3d.Manifold) -> meshes.Mesh:
+    mesh = meshes.Mesh.from_manifold(solid)
     mesh.vertices_m[:, 2] -= mesh.vertices_m[:, 2].min()
-    return Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
+    return meshes.Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
 
 
 def _keeps_topology(solid: manifold3d.Manifold, counts: tuple[int, int]) -> bool:

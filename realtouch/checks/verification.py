@@ -227,8 +227,7 @@ def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Find
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:
     """List the columns that some files of a split lack; they cannot be read from the whole split."""
     names = {
-        shard.path: (*read.column_names(shard.schema), *(read.absent_columns(shard.schema) or ()))
-        for shard in shards
+        shard.path: (*read.column_names(shard.schema), *(shard.absent_columns or ())) for shard in shards
     }
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"

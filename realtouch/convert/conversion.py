@@ -331,7 +331,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         if conversion.rows_per_shard is None:  # a large split gets shards as large as a worker can hold
             most = max(per_shard, _SHARD_BYTES // row_bytes)
             size = min(store.rows_per_shard(len(choices), per_shard), most)
-        absent = [read.absent_columns(shard.schema) for shard in shards]
+        absent = [shard.absent_columns for shard in shards]
         chunks = _chunks(choices, size, [absent[_file_of(starts, choice)] for choice in choices])
         for index, chunk in enumerate(chunks):
             first, last = (_file_of(starts, chunk[end]) for end in (0, -1))

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from realtouch.convert import conversion
 from realtouch.touches import datasets, loading, schema, stored_round
-from tactile_toolkit import catalog, checked_fields, errors, places, store, touch
+from tactile_toolkit import catalog, errors, places, store, touch
 from tactile_toolkit.value_types import JsonDict, JsonObject
 
 _MAX_BYTES = 1 << 28
@@ -65,7 +65,7 @@ def select(
         As :func:`clips_to_images`; InputError, too, for findings of another data set.
     """
     if min_height_m is not None:
-        min_height_m = checked_fields.checked_number(min_height_m, "min_height_m")
+        min_height_m = touch.HeightRule.checked_m(min_height_m)
         if not contact:
             raise errors.InputError("has no effect without `contact`", field="min_height_m")
     touches: JsonDict = {

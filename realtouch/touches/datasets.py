@@ -456,7 +456,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
             As :meth:`heights_m`.
         """
         if min_height_m is not None:
-            least_m = checked_fields.checked_number(min_height_m, "min_height_m")
+            least_m = touch.HeightRule.checked_m(min_height_m)
             stored_schemas = self.dataset.table.schemas
             if not all(schema.has_poses(read.column_types(stored)) for stored in stored_schemas):
                 raise errors.InputError(

@@ -143,7 +143,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     Merged files may be of both kinds.
     """
     first = schema.media_kind(files[0].schema, files[0].path)
-    is_merged = read.absent_columns(shard.schema) is not None
+    is_merged = shard.absent_columns is not None
     if schema.media_kind(shard.schema, shard.path) != first and not is_merged:
         raise errors.IntegrityError(
             f"{shard.path!r}, field {schema.MEDIA_COLUMN[first]!r}: the column is not there; expected it as "

@@ -213,10 +213,9 @@ def solids_of(
 
 def open_split(dataset: places.Place, split: str) -> Records:
     """Open a split of a data set of solids; InputError for a source without meshes."""
-    table = read.ShardedTable(dataset.shards(split))
-    mesh.require_mesh_columns(table.schema, dataset.name, "mnist3d generate")
-    label_names = read.class_names(table.schema, touch.CLASS_NAMES, dataset.name)
-    return mesh.SolidDataset(table, label_names=label_names)
+    shards = dataset.shards(split)
+    names = mesh.SolidDataset.classes_of(shards, dataset.name, "mnist3d generate", touch.CLASS_NAMES)
+    return mesh.SolidDataset(read.ShardedTable(shards), label_names=names)
 
 
 def content_fingerprint(shard: read.Shard) -> JsonDict:

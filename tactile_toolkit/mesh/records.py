@@ -39,6 +39,7 @@ _MESH_TYPES: dict[str, read.Expected] = {
 }
 R = TypeVar("R", bound=read.Record)
 S = TypeVar("S", bound="SolidRecord")
+N = TypeVar("N", tuple[str, ...], None)
 
 MESH = "mesh"
 """Column of GLB files, in metres; `datasets` reads it as its feature ``Mesh``."""
@@ -167,6 +168,24 @@ class SolidDataset(read.RecordDataset[S]):
     things = "solids"
     extent_m: ClassVar[tuple[float, float, float]] = (0.12, 0.12, 0.01)
     """Size along x, y and z of the grids of :class:`SolidTensors`, metres: the published cell."""
+
+    @staticmethod
+    def classes_of(
+        shards: tuple[read.Shard, ...], name: str, made_by: str, default: N
+    ) -> tuple[str, ...] | N:
+        """Return the classes that shards of meshes state, or ``default``.
+
+        Raises InputError if they lack columns of meshes, or differ in their classes. ``name`` is that of the
+        data set, and ``made_by`` the command that writes such data sets, for messages.
+        """
+        classes: dict[tuple[str, ...] | N, None] = {}
+        for schema in read.ShardedTable(shards).schemas:
+            require_mesh_columns(schema, name, made_by)
+            classes[read.class_names(schema, default, name)] = None
+        if len(classes) > 1:
+            shown = " and ".join(", ".join(names or ("no names",)) for names in list(classes)[:2])
+            raise InputError(f"{name!r} has the classes {shown}", next="open files of one data set together")
+        return next(iter(classes))
 
     @property
     def volumes_m3(self) -> Float64:

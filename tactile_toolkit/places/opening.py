@@ -343,7 +343,7 @@ def loader(kind: DatasetKind, dataset: type[D], record: type[R]) -> MeshLoader[D
     ) -> Any:
         place = open_place(name, revision=revision, config=config)
         shards = place.shards(split, kind=kind, streaming=streaming)
-        names = _class_names(shards, place.name, kind)
+        names = mesh.SolidDataset.classes_of(shards, place.name, kind.made_by, kind.class_names)
         if streaming:
             return mesh.RecordStream(shards, record, kind.class_names)
         return dataset(read.ShardedTable(shards), label_names=names)
@@ -354,17 +354,3 @@ def loader(kind: DatasetKind, dataset: type[D], record: type[R]) -> MeshLoader[D
     load.__module__ = dataset.__module__
     load.__qualname__ = "load"
     return load
-
-
-def _class_names(shards: tuple[read.Shard, ...], name: str, kind: DatasetKind) -> tuple[str, ...]:
-    """Return the classes of shards; InputError if they lack columns of meshes, or differ in their classes."""
-    names: dict[tuple[str, ...], None] = {}
-    for schema in read.ShardedTable(shards).schemas:
-        mesh.require_mesh_columns(schema, name, kind.made_by)
-        names[read.class_names(schema, kind.class_names, name)] = None
-    if len(names) > 1:
-        shown = " and ".join(", ".join(classes) for classes in list(names)[:2])
-        raise errors.InputError(
-            f"{name!r} has the classes {shown}", next="open files of one data set together"
-        )
-    return next(iter(names))

@@ -133,6 +133,11 @@ class Shard:
         """Arrow type of each column, and of each struct, by dotted name."""
         return schemas.column_types(self.schema)
 
+    @property
+    def absent_columns(self) -> tuple[str, ...] | None:
+        """Columns that the data set of the rows did not have before it was merged; None if it was not."""
+        return schemas.absent_columns(self.schema)
+
     @cached_property
     def class_names(self) -> tuple[str, ...] | None:
         """Class names that `datasets` stored, if any; IntegrityError if they cannot be read."""

@@ -1,7 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .runners import (
-    free_workers as free_workers,
     Runner as Runner,
     runner_for as runner_for,
 )

@@ -36,12 +36,8 @@ from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError
 from tactile_toolkit.run.this_process import (
     one_blas_thread,
     prepare_batch_process,
-    usable_cores,
     working_folder,
 )
-
-# Each takes about 300 MB of memory.
-_MAX_FREE_WORKERS = 16
 
 # Windows waits for at most 63 handles at a time, of which Python needs some.
 _MAX_WAITED_FOR = {"win32": 61}
@@ -178,16 +174,6 @@ def runner_for(workers: int | Runner, where: str = "processes") -> Runner:
     if workers == 1:
         return InlineRunner()
     return ProcessRunner(workers)
-
-
-def free_workers() -> int:
-    """Return the default number of worker processes: one for each core.
-
-    In a worker of another program, which may start none, the number is 1: this process.
-    """
-    if multiprocessing.current_process().daemon:
-        return 1
-    return min(usable_cores(), _MAX_FREE_WORKERS)
 
 
 def _most_workers(workers: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -87,6 +88,14 @@ class HeightRule:
             help="Height above the plate from which a touch counts as contact; by default 6 in published "
             "sets, and any height for touches of `tactile-sim generate`.",
         )
+
+    @staticmethod
+    def checked_m(value: object) -> float:
+        """Return the height that a user gives, metres; InputError unless it is a finite number."""
+        number = checked_fields.to_builtin(value, float)
+        if not isinstance(number, float) or not math.isfinite(number):
+            raise errors.InputError(f"is {value!r}; expected a number, finite", field="min_height_m")
+        return number
 
     def __str__(self) -> str:
         return f"{self.height_text}; {_PLATES[self.plate]}"

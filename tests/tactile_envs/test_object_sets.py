@@ -16,10 +16,9 @@ import gymnasium as gym
 import trimesh
 
 from env_assets import AssetProvider
-from tactile_envs import object_sets
+from tactile_envs import mesh_pool, object_sets
 from tactile_envs.entry_points import make_vector
 from tactile_envs.mesh_pool import GrowingPool, MeshPool
-from tactile_toolkit import run
 from tactile_toolkit.errors import InputError
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
@@ -36,7 +35,7 @@ def begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(object_sets, "AssetProvider", partial(AssetProvider, per_class=1))
-    monkeypatch.setattr(object_sets.run, "free_workers", lambda: 1)
+    monkeypatch.setattr(object_sets.mesh_pool, "free_workers", lambda: 1)
     monkeypatch.setattr(object_sets, "start_background", lambda *work: started.append(work))
     return started
 
@@ -204,6 +203,6 @@ def test_two_folders_of_ones_own_are_two_classes(tmp_path, unit, per_mm):
 
 
 def test_workers_of_other_programs_start_no_processes(monkeypatch):
-    assert run.free_workers() >= 1
+    assert mesh_pool.free_workers() >= 1
     monkeypatch.setattr("multiprocessing.process._current_process", type("P", (), {"daemon": True})())
-    assert run.free_workers() == 1
+    assert mesh_pool.free_workers() == 1
