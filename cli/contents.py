@@ -264,8 +264,6 @@ def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, wor
         return document
     sink.document(document)
     place.require_finished([finding.file for finding in result.findings])
-    for finding in result.findings:
-        sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
     next_step = (
         f"run the same `{kind.command_of(place.manifest)}` with --repair, which makes damaged shards again"
     )
@@ -274,7 +272,16 @@ def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, wor
     # Problems that no run repairs (unknown files, links, cards) state their own next step.
     if all("; next: " in finding.problem for finding in result.findings):
         next_step = "follow the next step of each problem"
-    raise IntegrityError(f"{with_count(len(problems), 'problems')} in {place.name!r}", next=next_step)
+    raise _damaged(sink, place, result.findings, next_step)
+
+
+def _damaged(
+    sink: output.Sink, place: places.Place, findings: Sequence[object], next_step: str
+) -> IntegrityError:
+    """Print each damage and return the error, which states only their number."""
+    for finding in findings:
+        sink.warn(f"damaged: {finding}")
+    return IntegrityError(f"{with_count(len(findings), 'problems')} in {place.name!r}", next=next_step)
 
 
 def verify_touches(
@@ -309,12 +316,10 @@ def verify_touches(
         sink.document(document)
         if not allows_unfinished:
             place.require_finished([finding.file for finding in result.findings])
-        for finding in findings:
-            sink.warn(f"damaged: {finding}")
         next_step = "download or convert it again"
         if place.unfinished:
             next_step = "run the same command with --repair, which makes damaged shards again"
-        raise IntegrityError(f"{with_count(len(problems), 'problems')} in {place.name!r}", next=next_step)
+        raise _damaged(sink, place, findings, next_step)
     how = "every header was read" if quick else "every picture was decoded"
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
     sink.line(f"{place.name}: {counts}: nothing is wrong; {how}")

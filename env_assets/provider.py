@@ -18,7 +18,6 @@ import starstruck_gen
 from env_assets import mesh_view
 from env_assets.wrench.dataset import WrenchDataset
 from tactile_toolkit import checked_fields, errors, kind as kinds, mesh, read, run, store
-from tactile_toolkit.mesh import SolidDataset
 from tactile_toolkit.places import open_place
 from tactile_toolkit.wording import did_you_mean
 
@@ -39,7 +38,7 @@ THIRD_PARTY_ASSETS: dict[str, str] = {
     "redistributed",
 }
 """Assets that this toolkit does not make, and where the published ones are from."""
-MeshSet = SolidDataset[Any]
+MeshSet = mesh.SolidDataset[Any]
 """A data set of meshes of any kind."""
 
 T = TypeVar("T")
@@ -71,7 +70,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> 
         import_module(module)
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
-    stated = SolidDataset.classes_of(shards, name, KINDS["mnist3d"].made_by, None)
+    stated = mesh.SolidDataset.classes_of(shards, name, KINDS["mnist3d"].made_by, None)
     kind = kinds.DatasetKind.of_columns(read.column_names(table.schema), stated or ())
     expected = KINDS.get(needed or name)
     names = getattr(kind, "class_names", ()) if stated is None else stated
@@ -85,7 +84,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> 
             f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
             next=f"{step}, which `{expected.made_by}` makes",
         )
-    dataset = SolidDataset if kind is None else kind.dataset
+    dataset = mesh.SolidDataset if kind is None else kind.dataset
     opened: MeshSet = dataset(table, label_names=names)
     return opened
 

@@ -23,6 +23,9 @@ EXPORT_FORMATS = (
 )
 """Formats of exported touches: pictures, and files of other libraries."""
 
+BLUE, ORANGE, VERMILION = (0, 114, 178), (230, 159, 0), (213, 94, 0)
+"""Colours that people with any kind of colour vision distinguish (Okabe and Ito 2008)."""
+
 FRAME = partial(
     checked_fields.choice,
     "contact_end",

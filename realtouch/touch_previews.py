@@ -29,7 +29,7 @@ _COLOURS = np.array(
 )
 _HEAD = 0.35
 _HALF_HEAD_RAD = 0.45  # of an arrow
-CONTACT = pictures.ACCENTS[0]
+CONTACT = touch_options.BLUE
 """Colour of the frame around touches with contact."""
 
 _COLUMNS = 8

@@ -319,7 +319,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     """Divide rows into shards; reads footers only."""
     source, step = conversion.source, conversion.step
     names = source.class_names
-    new_schema = touch.with_features(step.schema(read.flat_schema(source.schema)), names)
+    new_schema = touch.with_features(step.schema(source.flat_schema), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MAX_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))

@@ -103,7 +103,7 @@ def _touches(
     left_out = _ORDER_COLUMNS if {*names} >= _OURS else ()
     fields = parquet.columns([name for name in names if name not in left_out])
     if shard is not None and _SPLIT not in names:
-        fields = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **fields}
+        fields = {_SPLIT: source_touches.repeated(shard.split, len(parquet)), **fields}
     fields = {**_folder_values(path, len(parquet)), **fields}
     # The name of the file of each picture, without its folder.
     files = [source_files.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]

@@ -27,7 +27,7 @@ from realtouch.importing import cuts, import_options, source_files, source_touch
 from realtouch.touches import media
 from realtouch.video import video_files, videos
 from tactile_toolkit import errors, read, store, wording
-from tactile_toolkit.columns import column_types, tables
+from tactile_toolkit.columns import tables
 from tactile_toolkit.value_types import JsonDict
 
 _SPLITS = {"train", "val", "valid", "validation", "test"}
@@ -362,6 +362,6 @@ def find_anytouch(
         fields = {
             "label": pa.array(labels, pa.string()),
             "round_id": pa.array(rounds, pa.string()),
-            "split": column_types.repeated(split, len(paths)),
+            "split": source_touches.repeated(split, len(paths)),
         }
         yield source_files.image_files(home, ledger, paths, fields, dict.fromkeys(left_out, problem))

@@ -307,5 +307,5 @@ def find_fota(
                 touches, per_touch=touches.per_touch.drop_columns(list(touch_options.FOTA_POSE_COLUMNS))
             )
         if "split" not in touches.names:
-            touches = touches.with_fields({"split": column_types.repeated(split, len(touches))})
+            touches = touches.with_fields({"split": source_touches.repeated(split, len(touches))})
         yield touches

@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch import contact
+from realtouch import contact, touch_options
 from realtouch.contact import ContactThresholds
 from realtouch.importing import fields, import_options, source_files, source_touches
 from realtouch.video import avi
@@ -45,8 +45,8 @@ _WIDTH_PX = _TILES_PER_ROW * (_TILE_PX + _GAP_PX) - _GAP_PX
 _STRIP_PX = 72
 _GREY = (238, 240, 242)
 _CLIP = (198, 222, 240)
-_CONTACT = pictures.ACCENTS[1]
-_CURVE, _LIMIT = pictures.ACCENTS[0], pictures.ACCENTS[3]
+_CONTACT = touch_options.ORANGE
+_CURVE, _LIMIT = touch_options.BLUE, touch_options.VERMILION
 
 
 class CutTable:

@@ -520,7 +520,12 @@ class Recording:
     def _repeated_fields(self, round_id: str, count: int) -> dict[str, pa.Array]:
         """Return the fields of the recording as columns with an entry for each of some touches."""
         values = {_ROUND: round_id, **self.values}
-        return {name: column_types.repeated(value, count) for name, value in values.items()}
+        return {name: repeated(value, count) for name, value in values.items()}
+
+
+def repeated(value: object, count: int) -> pa.Array:
+    """Return a column of one value."""
+    return column_types.column_of([value]).take(pa.array(np.zeros(count, np.int64)))
 
 
 def touches_of(recording: Recording, cut: str) -> SourceTouches:

@@ -209,6 +209,11 @@ class Source:
         return next(iter(self.shards.values()))[0].schema
 
     @property
+    def flat_schema(self) -> pa.Schema:
+        """The schema with the fields of structs as columns of their own."""
+        return next(iter(self.shards.values()))[0].flat_schema
+
+    @property
     def contact_sources(self) -> list[ContactSource]:
         """How contact of the touches is known; merged sets may differ."""
         return ContactSource.of_files(read.ShardedTable(tuple(self._files())).schemas)

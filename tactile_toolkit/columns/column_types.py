@@ -322,11 +322,6 @@ def lists_of(entries: pa.Array, lengths: Sequence[int | None] | Int64 | pa.Array
     return pa.ListArray.from_arrays(offsets, entries, mask=mask)
 
 
-def repeated(value: object, count: int) -> pa.Array:
-    """Return a column of one value."""
-    return column_of([value]).take(pa.array(np.zeros(count, np.int64)))
-
-
 def lengths_of(column: pa.Array) -> list[int]:
     """Return the distinct lengths of lists, sorted; empty for other values."""
     if not pa.types.is_list(column.type):

@@ -125,7 +125,7 @@ class Union:
                 names = ()
             numbers = [self._classes.setdefault(name, len(self._classes)) for name in names]
             self.changes[title, split] = (
-                self._add_columns(read.flat_schema(schema), source.name),
+                self._add_columns(shards[0].flat_schema, source.name),
                 (*numbers, -1),
             )
 

@@ -1,7 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .sheets import (
-    ACCENTS as ACCENTS,
     Drawn as Drawn,
     fitted as fitted,
     Pen as Pen,

@@ -26,15 +26,6 @@ Colour: TypeAlias = tuple[int, int, int]
 INK: Colour = (32, 36, 42)
 MUTED: Colour = (98, 106, 116)
 PAPER: Colour = (255, 255, 255)
-ACCENTS: tuple[Colour, ...] = (
-    (0, 114, 178),
-    (230, 159, 0),
-    (0, 158, 115),
-    (213, 94, 0),
-    (204, 121, 167),
-    (86, 180, 233),
-)
-"""Colours that people with any kind of colour vision distinguish (Okabe and Ito 2008)."""
 
 _TITLE_PX, _TEXT_PX, _CAPTION_PX = 20, 14, 12
 _LINE_GAP_PX = 4

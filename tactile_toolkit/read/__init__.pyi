@@ -2,7 +2,6 @@
 
 from .record import (
     FieldAccess as FieldAccess,
-    flat_schema as flat_schema,
     NestedColumn as NestedColumn,
     null_fields as null_fields,
     numpy_values as numpy_values,

@@ -300,21 +300,6 @@ class RowGroup:
         return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
-def flat_schema(schema: pa.Schema) -> pa.Schema:
-    """Return the fields of a schema with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
-    flat = RowGroup(schema.empty_table()).flat_table.schema
-    return pa.schema([pa.field(field.name, _plain_type(field.type)) for field in flat])
-
-
-def _plain_type(data_type: pa.DataType) -> pa.DataType:
-    """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
-    if pa.types.is_fixed_size_list(data_type):
-        return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
-    if list_depth(data_type)[0]:
-        return pa.list_(_plain_type(data_type.value_type))
-    return data_type
-
-
 class Row:
     """A stored row, whose fields are read on demand: row ``index`` of ``group``."""
 

@@ -134,6 +134,12 @@ class Shard:
         return schemas.column_types(self.schema)
 
     @property
+    def flat_schema(self) -> pa.Schema:
+        """The schema with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
+        flat = RowGroup(self.schema.empty_table()).flat_table.schema
+        return pa.schema([pa.field(column.name, _plain_type(column.type)) for column in flat])
+
+    @property
     def absent_columns(self) -> tuple[str, ...] | None:
         """Columns that the data set of the rows did not have before it was merged; None if it was not."""
         return schemas.absent_columns(self.schema)
@@ -448,6 +454,15 @@ class Shard:
     def _named_damage(self) -> Iterator[None]:
         with store.named_damage(self.path), self.failures():
             yield
+
+
+def _plain_type(data_type: pa.DataType) -> pa.DataType:
+    """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
+    if pa.types.is_fixed_size_list(data_type):
+        return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
+    if schemas.list_depth(data_type)[0]:
+        return pa.list_(_plain_type(data_type.value_type))
+    return data_type
 
 
 def block_file(key: Key) -> Path:

@@ -227,6 +227,9 @@ class Finding:
     file: str
     problem: str
 
+    def __str__(self) -> str:
+        return f"{self.file}: {self.problem}"
+
 
 def add_up(parts: Sequence[JsonObject]) -> JsonDict:
     """Add the counts of several shards, key by key; lists add by index, a missing entry counts 0.

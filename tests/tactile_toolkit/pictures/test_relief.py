@@ -89,7 +89,6 @@ def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
 
 DRAW = """
 import hashlib, numpy as np
-from tactile_toolkit.pictures import ACCENTS
 from tactile_toolkit.pictures import View
 from tactile_toolkit.touch import encode_image
 from tactile_toolkit.mesh.mesh import Mesh
@@ -97,7 +96,7 @@ from tactile_toolkit.pictures import Tile, sheet
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
 mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
 view = View.OBLIQUE.draw(((mesh, (200, 120, 40)),), (120, 90), 4000.0)
-drawn = sheet([Tile(view, "20 mm²", ACCENTS[0], "a").with_scale_bar(4.0)] * 3, 2, "Title", ("line",))
+drawn = sheet([Tile(view, "20 mm²", (0, 114, 178), "a").with_scale_bar(4.0)] * 3, 2, "Title", ("line",))
 print(hashlib.sha256(encode_image(drawn, "png")).hexdigest())
 """
 
