@@ -61,7 +61,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run("tactile", "export", root / "digits", "--out", root / "solids", "--limit", 2)
     run("tactile", "merge", root / "digits", "--out", root / "copied")
     run("tactile", "export", root / "digits", "--format", "flat", "--out", root / "flat")
-    part = ("--scenes", "test=3,train=6000", "--part", "1/3")
+    part = ("--scenes", "test=3,train=3", "--part", "1/2")
     run("starstruck", "generate", *part, "--out", root / "unfinished")
     return root
 
@@ -154,16 +154,16 @@ def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsy
         code, said = asked(capsys, "tactile", command, folder, *options_of(command, tmp_path / "out"))
         if command not in ("info", "verify"):
             assert code == 3
-            assert "is not finished (2 of 7 shards); next: run the same command again, it contin" in said
+            assert "is not finished (1 of 2 shards); next: run the same command again, it contin" in said
         assert not (tmp_path / "out").exists()
     for command in ("merge", "select", "split", "export", "gallery", "preview"):
         words = (*options_of(command, tmp_path / command), "--allow-incomplete")
         code, said = asked(capsys, "tactile", command, folder, *words)
         assert code == 0, said
-        assert f"note: {folder} is unfinished: 2 of 7 shards" in said
+        assert f"note: {folder} is unfinished: 1 of 2 shards" in said
     for made in (tmp_path / "merge", tmp_path / "split" / "part-1", tmp_path / "export"):
         assert call("tactile", "info", str(made)) == 0
-        assert '"unfinished": "2 of 7 shards"' in (made / "manifest.json").read_text()
+        assert '"unfinished": "1 of 2 shards"' in (made / "manifest.json").read_text()
 
 
 COMMANDS_OF_ONE: dict[tuple[str, str], tuple[str, ...]] = {
@@ -221,7 +221,7 @@ def test_touches_of_an_unfinished_set_record_that(sets, tmp_path, capsys):
     words = [*(word for word in words if word != "--dry-run"), "--limit", "1", "--rounds", "1"]
     refused(capsys, "; or take what is finished with --allow-incomplete ", *words, code=3)
     assert asked(capsys, *words, "--touches", "1", "--allow-incomplete")[0] == 0
-    assert '"unfinished": "2 of 7 shards"' in (tmp_path / "out" / "manifest.json").read_text()
+    assert '"unfinished": "1 of 2 shards"' in (tmp_path / "out" / "manifest.json").read_text()
 
 
 @pytest.fixture

@@ -144,7 +144,8 @@ def test_a_base_plate_joins_the_parts_and_lies_flat() -> None:
     assert after.volume_mm3 == pytest.approx(2 * after.contact_mm2 + half, rel=2e-3)
 
 
-@pytest.mark.parametrize("further", [(), ("--thickness-mm", 5, "--edge-profile", "linear")])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("further", [("--thickness-mm", 5, "--edge-profile", "linear"), ()])
 def test_all_parts_of_a_drawing_stand_on_the_plate(
     further: Any, tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
@@ -191,7 +192,7 @@ def test_a_folder_of_pictures_makes_a_file_each_and_names_what_failed(tmp_path: 
     folder.mkdir()
     word().save(folder / "word.jpg")
     Image.new("L", (300, 300), 255).save(folder / "empty.png")
-    two = [word(width).convert("L") for width in (20, 40)]
+    two = [word(width).convert("L").resize((400, 200)) for width in (20, 40)]
     two[0].save(folder / "pages.tif", save_all=True, append_images=two[1:])
     arguments = ("solidify", folder, "--out", out, "--format", "3mf", "--preview", "--json", "-w", 1)
     assert call("mnist3d", *arguments) == 1

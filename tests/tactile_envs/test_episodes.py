@@ -118,11 +118,16 @@ def test_forces_of_an_elastic_gel_are_stored(tmp_path, assets):
     assert "extra.force_n" in (tmp_path / "set" / "README.md").read_text()
 
 
-def test_bytes_do_not_depend_on_workers_parts_or_interruptions(tmp_path, assets):
+@pytest.mark.thorough
+def test_bytes_do_not_depend_on_workers(tmp_path, assets):
+    for workers in (1, 2):
+        _record(tmp_path / str(workers), assets, workers=workers)
+    assert _bytes(tmp_path / "1") == _bytes(tmp_path / "2")
+
+
+def test_bytes_do_not_depend_on_interruptions(tmp_path, assets):
     _record(tmp_path / "one", assets)
-    _record(tmp_path / "two", assets, workers=2)
     expected = _bytes(tmp_path / "one")
-    assert _bytes(tmp_path / "two") == expected
     assert len(expected) > 1
 
     class InterruptionError(Exception):
@@ -249,16 +254,21 @@ def test_the_interval_is_that_of_objects_drawn_again():
     assert summary.high - summary.low == pytest.approx(2 * 1.96 * error, rel=0.1)
 
 
-def test_reports_are_the_same_from_any_workers_and_are_compared_only_if_alike(tmp_path, assets):
+@pytest.mark.thorough
+def test_reports_are_the_same_from_any_workers(assets):
     one, two = (_report("random", assets, workers=workers) for workers in (1, 2))
     assert (one.metrics, one.protocol, one.policy) == (two.metrics, two.protocol, two.policy)
+
+
+def test_reports_are_compared_only_if_alike(tmp_path, assets):
     pytest.importorskip("matplotlib", reason="matplotlib (extra `pictures`) is not installed")
+    one = _report("random", assets)
     one.write(tmp_path / "one")
     assert evaluation.Report.read(tmp_path / "one") == one
     assert "random in TactileMNIST-Depth-test-v0" in (tmp_path / "one" / "report.md").read_text()
     with pytest.raises(InputError, match="exists"):
         one.write(tmp_path / "one")
-    table = evaluation.compare({"a": one, "b": two})
+    table = evaluation.compare({"a": one, "b": one})
     kinds = [(name, kind) for name in one.metrics for kind in ("average", "final")]
     assert [row[:2] for row in table] == [*kinds, ("return", "sum")]
     other = _report("random", assets, seeds=1)

@@ -24,7 +24,7 @@ SIZE = (120, 90)
 
 @cache
 def record(
-    family: Family = "phong", mistake: str | None = None, seed: int = 3, touches: int = 20
+    family: Family = "phong", mistake: str | None = None, seed: int = 3, touches: int = 12
 ) -> Recording:
     return draw_sensor(seed, family, SIZE).record(digits(3), touches, mistake=mistake)
 
