@@ -16,7 +16,7 @@ def test_a_wrench_is_made_as_a_data_set_and_a_file(tmp_path):
     assert run("tactile", "export", tmp_path / "wrench", "--out", tmp_path / "files").exit_code == 0
     (file,) = (tmp_path / "files").iterdir()
     assert mnist3d.inspect(mnist3d.read_mesh(file)).warnings == ()
-    page = run("tactile", "gallery", tmp_path / "wrench", "--out", tmp_path / "page", "--workers", 2)
+    page = run("tactile", "gallery", tmp_path / "wrench", "--out", tmp_path / "page", "--workers", 1)
     assert page.exit_code == 0, page.output
     verified = run("tactile", "verify", tmp_path / "wrench", "--content")
     assert "1 row," in verified.stdout

@@ -407,6 +407,8 @@ def test_invalid_actions_and_options_of_a_reset_are_named(assets):
         for place in places:
             with pytest.raises(InputError, match=f"option '{name}'.*expected [23] numbers"):
                 env.reset(options={name: [place, None]})
+    with pytest.raises(InputError, match="expected metres, up to 10; next: positions are metres"):
+        env.reset(options={"initial_object_pose": [[1e6, 0.0, 0.0], None]})
     for options, entries in ((count(), "more than 2"), ([1], "1")):
         with pytest.raises(InputError, match=f"'datapoint_idx' has {entries} entr.*; expected 2"):
             env.reset(options={"datapoint_idx": options})

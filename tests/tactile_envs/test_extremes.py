@@ -113,17 +113,3 @@ print(json.dumps(failures))
 def test_extremes_are_used_or_refused(part, name, digits_set):
     failures = json.loads(printed_by(_CHILD, part, name, digits_set).splitlines()[-1])
     assert failures == []
-
-
-def test_an_object_a_thousand_kilometres_away_is_refused(digits_set):
-    """It ended the process."""
-    code = """
-        import sys, tactile_envs
-        from tactile_toolkit.errors import InputError
-        env = tactile_envs.make_vector("TactileMNIST-Depth-test-v0", assets=sys.argv[1], num_envs=1)
-        try:
-            env.reset(options={"initial_object_pose": [[1e6, 0, 0]]})
-        except InputError as error:
-            print(error)
-    """
-    assert "expected metres, up to 10; next: positions are metres" in printed_by(code, digits_set)
