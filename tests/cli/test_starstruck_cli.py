@@ -41,7 +41,7 @@ def test_every_option_reaches_the_specification(tmp_path):
         *("starstruck", "generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--split", "test"),
         *("--scenes", 12, "--stars", "2,4", "--distractors", "1-2", "--shapes", "ring,crescent"),
         *("--radius-mm", 6, "--heights-mm", "4,6", "--cell-mm", "150x120", "--collision", "exact"),
-        *("--clearance-mm", 0.5, "--seed", 3, "--limit", 8),
+        *("--clearance-mm", 0.5, "--seed", 3, "--limit", 8, "--star-points", 6, "--star-inner-mm", 1.5),
     )
     assert result.exit_code == 0
     assert result.stdout == ""
@@ -49,35 +49,16 @@ def test_every_option_reaches_the_specification(tmp_path):
     assert len(scenes) == 8
     assert scenes.label_names == ("2", "4")
     shapes = {p.shape for record in scenes for p in record.placements}
-    assert shapes == {"star", "ring", "crescent"}
+    assert shapes == {"star(points=6,inner_ratio=0.25)", "ring", "crescent"}
     assert {p.height_m for record in scenes for p in record.placements} == {0.004, 0.006}
     assert {record.distractor_count for record in scenes} == {1, 2}
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
     scene = manifest["spec"]["scene"]
     assert scene["cell_m"] == [0.15, 0.12]
     assert (scene["collision"], scene["clearance_m"], scene["star"]["radius_m"]) == ("exact", 0.0005, 0.006)
+    assert scene["star"]["proportions"] == {"points": 6, "inner_ratio": 0.25}
     assert manifest["spec"]["seed"] == 3
     assert run("starstruck", "validate", tmp_path / "set").exit_code == 0
-
-
-@pytest.mark.thorough
-def test_proportions_reach_the_specification_and_info(tmp_path):
-    made = run(
-        *("starstruck", "generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--scenes", 6),
-        *("--radius-mm", 8, "--star-points", 6, "--star-inner-mm", 2, "--distractors", "1-2"),
-        *("--shapes", "box, ring(hole_ratio=0.7,segments=64),crescent(bite_ratio=0.5)"),
-    )
-    assert (made.exit_code, made.stderr) == (0, "")
-    scene = json.loads(run("tactile", "info", tmp_path / "set", "--json").stdout)["spec"]["scene"]
-    assert scene["star"]["proportions"] == {"points": 6, "inner_ratio": 0.25}
-    assert [entry["name"] for entry in scene["distractor_shapes"]] == ["box", "ring", "crescent"]
-    assert scene["distractor_shapes"][1]["proportions"] == {"hole_ratio": 0.7, "segments": 64}
-    assert scene["distractor_shapes"][2]["proportions"]["bite_ratio"] == 0.5
-    assert "scene.star.proportions.inner_ratio = 0.25" in run("tactile", "info", tmp_path / "set").stdout
-    assert run("starstruck", "validate", tmp_path / "set").exit_code == 0
-    refused = run("starstruck", "generate", "--out", tmp_path / "set", "--star-inner-mm", 9.5)
-    assert refused.exit_code == 2
-    assert "inner_ratio of shape 'star' is 0.95; expected at most 0.8009 with 5 points" in refused.stderr
 
 
 def test_validate_mentions_declared_stars_although_every_scene_fails(made, tmp_path):
@@ -89,16 +70,3 @@ def test_validate_mentions_declared_stars_although_every_scene_fails(made, tmp_p
     assert result.exit_code == 1
     assert "0 solids, 0 of them stars" in result.stdout
     assert "0 of 6 scenes are valid" in result.stdout
-
-
-@pytest.mark.thorough
-def test_validate_and_verify_pass(made):
-    folder, _ = made
-    result = run("starstruck", "validate", folder, "--workers", 2)
-    assert result.exit_code == 0
-    assert "66 of 66 scenes are valid" in result.stdout
-    document = json.loads(run("starstruck", "validate", folder, "--json", "--limit", 3).stdout)
-    assert document[0]["checked"] == 6
-    result = run("tactile", "verify", folder)
-    assert result.exit_code == 0
-    assert "66 rows" in result.stdout

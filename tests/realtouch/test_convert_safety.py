@@ -258,22 +258,6 @@ def killed(source: Path, out: Path, moment: int) -> bool:
     return code != 0
 
 
-@pytest.mark.thorough
-def test_killed_again_and_again_it_ends_with_the_same_bytes(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.export(single_folder, tmp_path / "whole", "png")
-    again, half = tmp_path / "again", tmp_path / "half"
-    for moment in (9, 30, 16):  # each gets further than the one before: to the manifest, a shard, a record
-        assert killed(single_folder, again, moment)
-    moment = 10
-    while not list(half.glob(".pending/tmp-*")):  # a picture of which a part was written
-        assert killed(single_folder, half, moment)
-        moment += 1
-    for out in (again, half):
-        realtouch.export(single_folder, out, "png")
-        assert not list(out.glob(".pending/tmp-*"))
-        assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
-
-
 def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp_path: Path) -> None:
     """A run that fails before its first shard is finished removes its pictures."""
     code = (

@@ -8,7 +8,6 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import View
-from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
 angles = st.floats(-180, 180), st.floats(5, 90)
@@ -85,23 +84,3 @@ def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
     wrong = Mesh(right.vertices_m, right.faces[:, ::-1])
     views = [View.OBLIQUE.draw(((mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
     assert np.array_equal(*views)
-
-
-DRAW = """
-import hashlib, numpy as np
-from tactile_toolkit.pictures import View
-from tactile_toolkit.touch import encode_image
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures import Tile, sheet
-corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
-mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
-view = View.OBLIQUE.draw(((mesh, (200, 120, 40)),), (120, 90), 4000.0)
-drawn = sheet([Tile(view, "20 mm²", (0, 114, 178), "a").with_scale_bar(4.0)] * 3, 2, "Title", ("line",))
-print(hashlib.sha256(encode_image(drawn, "png")).hexdigest())
-"""
-
-
-@pytest.mark.thorough
-def test_every_process_draws_the_same_bytes():
-    printed = {printed_by(DRAW, PYTHONHASHSEED=seed) for seed in ("1", "2")}
-    assert len(printed) == 1
