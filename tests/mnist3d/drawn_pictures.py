@@ -54,10 +54,10 @@ def photographed(
     picture: Image.Image, paper: tuple[float, ...] = (0.93, 0.89, 0.82), finger: float = 0
 ) -> Image.Image:
     """Return a page as photographed by a phone: uneven warm light, the shadow of a finger, noise, blur."""
-    page = np.asarray(picture.resize((1200, 900)), float)
-    rows, columns = np.mgrid[:900, :1200]
-    light = 0.5 + 0.5 * (0.7 * columns / 1200 + 0.3 * rows / 900)
-    covered = (abs(columns - 600) < 40) & (rows > 400)
+    page = np.asarray(picture.resize((900, 675)), float)
+    rows, columns = np.mgrid[:675, :900]
+    light = 0.5 + 0.5 * (0.7 * columns / 900 + 0.3 * rows / 675)
+    covered = (abs(columns - 450) < 30) & (rows > 300)
     light *= 1 - finger * ndimage.gaussian_filter(covered.astype(float), 10.0)
     shot = page * light[..., None] * np.array(paper)
     shot += np.random.default_rng(0).normal(0, 3, page.shape)

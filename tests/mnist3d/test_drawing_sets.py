@@ -26,7 +26,7 @@ def words(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, draw in (("li", word), ("house", child), ("10", lambda: word(40))):
         for number in range(5):
             (folder / name).mkdir(exist_ok=True)
-            draw().save(folder / name / f"p{number}.png")
+            draw().reduce(2).save(folder / name / f"p{number}.png")
     photographed(word()).save(folder / "li" / "photo.jpg")
     return folder
 
