@@ -50,19 +50,15 @@ def list_sets(
 
 def _print_published(sink: output.Sink) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
-    documents = []
+    sets = list(places.published_sets())
+    sink.document(sets)
     rows = []
-    for state in places.published_states():
-        known = state.published
-        names = {"name": known.name, "repository": known.repo_id, "content": known.content}
-        documents.append({**names, "citation": known.citation, **asdict(state)})
-        del documents[-1]["published"]
-        there = "?" if state.hub_bytes is None else bytes_text(state.hub_bytes)
+    for known in sets:
+        there = "?" if known["hub_bytes"] is None else bytes_text(known["hub_bytes"])
         here = "-"
-        if state.local_bytes:
-            here = f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
-        rows.append((known.name, known.content, state.licence or "see its card", there, here))
-    sink.document(documents)
+        if known["local_bytes"]:
+            here = f"{bytes_text(known['local_bytes'])} ({', '.join(known['local_splits'])})"
+        rows.append((known["name"], known["content"], known["licence"] or "see its card", there, here))
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(row[3] == "?" for row in rows):
         sink.info("?: the Hub did not answer for this one (no network, or no access)")

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, mesh, store, wording
+from tactile_toolkit import cards, mesh, read, store, wording
 from tactile_toolkit.kind import Facts
 from tactile_toolkit.rows import Column
 from tactile_toolkit.value_types import JsonDict, JsonObject
@@ -132,7 +132,7 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitS
     Raises IntegrityError if the report is missing or damaged.
     """
     columns = ["split", *(column.name for column in SUMMED_UP)]
-    return _summaries(manifest, store.read_report(folder, REPORT_FILE, columns))
+    return _summaries(manifest, read.Shard(folder.address(REPORT_FILE)).read(columns))
 
 
 def _summaries(manifest: store.Manifest, report: pa.Table) -> list[SplitSummary]:
@@ -163,7 +163,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         )
         card.write(folder, manifest, KIND)
         return
-    report = store.read_report(folder, REPORT_FILE)
+    report = read.Shard(folder.address(REPORT_FILE)).read()
     summaries = _summaries(manifest, report)
     profile = spec["print_profile"]
     solid = spec["solid"]

@@ -18,7 +18,7 @@ from mnist3d.kind import KIND
 from mnist3d.solid import algorithm
 from mnist3d.solid.lattice import Lattice
 from mnist3d.sources import digit_source, picture_files
-from tactile_toolkit import catalog, gallery, mesh, pictures, store
+from tactile_toolkit import catalog, gallery, mesh, pictures, read, store
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import MM_PER_M
@@ -140,7 +140,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilt
     def reports(rows: digit_records.DigitDataset, split: str) -> list[JsonObject | None]:
         if folder is None or not has_report:
             return [None] * len(rows)
-        report = store.read_report(folder, digit_records.REPORT_FILE)
+        report = read.Shard(folder.address(digit_records.REPORT_FILE)).read()
         of_rows = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
         return [by_id.get(number) for number in rows.ids.tolist()]

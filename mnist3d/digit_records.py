@@ -15,7 +15,6 @@ from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import mesh, pictures, places, store
 from tactile_toolkit.rows import column
 from tactile_toolkit.value_types import Int64, JsonDict
-from tactile_toolkit.wording import class_name
 
 PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=32,
@@ -100,6 +99,7 @@ class DigitRecord(pictures.DrawnSolid):
     """
 
     __slots__ = ()
+    class_noun = "digit"
 
     @property
     def writer(self) -> int:
@@ -120,10 +120,6 @@ class DigitRecord(pictures.DrawnSolid):
         return (
             f"DigitRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
         )
-
-    def caption(self, label_names: Sequence[str] = ()) -> str:
-        """Return the name of the digit."""
-        return f"digit {class_name(label_names, self.label)}"
 
     @property
     def notes(self) -> list[tuple[str, str]]:

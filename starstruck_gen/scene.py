@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from starstruck_gen import shapes
 from tactile_toolkit import mesh, read
-from tactile_toolkit.arithmetic import cosine_sine, moved
+from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.touch import CELL_M
@@ -205,7 +205,7 @@ def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -
     c, s = cosine_sine(placement.angle_rad)
     rings = []
     for ring in shapes.outline(placement.shape):
-        turned = moved(ring, np.array([[c, s], [-s, c]]))
+        turned = ring[:, :1] * (c, s) + ring[:, 1:] * (-s, c)
         standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
         rings.append(standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2)
     # A mask of the size of the object keeps its holes open, so that objects inside them stay visible.

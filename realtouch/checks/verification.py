@@ -218,10 +218,9 @@ def _check_rounds(
     return rounds, touches
 
 
-def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
+def list_findings(folder: store.DataFolder, workers: int = 1) -> tuple[damage.Damage, ...]:
     """List the problems of a folder before it is uploaded; decodes no picture."""
-    damaged = verify(folder.address(), quick=True, workers=workers).findings
-    return [store.Finding(finding.file, f"({finding})") for finding in damaged]
+    return verify(folder.address(), quick=True, workers=workers).findings
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:

@@ -300,10 +300,10 @@ class Upload:
 
 def check_folder(
     folder: store.DataFolder, kind: DatasetKind | None = None, workers: int = 1
-) -> Iterable[store.Finding]:
+) -> Iterable[object]:
     """List the problems of a folder: files and card; with a kind also rows, columns, ids and pictures."""
     if kind is not None and kind.check is not None:
-        findings: Iterable[store.Finding] = kind.check(folder, workers)
+        findings: Iterable[object] = kind.check(folder, workers)
         return findings
     schema = None
     if kind is not None:
@@ -399,8 +399,8 @@ def local_copy(folder: FsspecFolder, root: Path) -> store.DataFolder:
     return store.open_folder(str(root))
 
 
-def _require_sound(findings: Iterable[store.Finding]) -> None:
-    problems = [f"{finding.file} {finding.problem.partition('; next: ')[0]}" for finding in findings]
+def _require_sound(findings: Iterable[object]) -> None:
+    problems = [str(finding).partition("; next: ")[0] for finding in findings]
     if problems:
         more = f" and {len(problems) - 3} more" if len(problems) > 3 else ""
         raise IntegrityError(

@@ -194,16 +194,17 @@ class DrawnSolid(Drawn, mesh.SolidRecord):
     """A record of a mesh that draws itself, from above by default.
 
     ``is_faceted`` shows sharp edges in a gallery, instead of smooth shading. ``drawn_columns`` are those that
-    a picture needs.
+    a picture needs. ``class_noun`` is what captions call its class.
     """
 
     __slots__ = ()
     is_faceted: ClassVar[bool] = False
     drawn_columns: ClassVar[tuple[str, ...]] = (mesh.VERTICES, mesh.FACES)
+    class_noun: ClassVar[str] = "class"
 
     def caption(self, label_names: Sequence[str] = ()) -> str:
         """Return the class of the solid."""
-        return f"class {class_name(label_names, self.label)}"
+        return f"{self.class_noun} {class_name(label_names, self.label)}"
 
     @property
     def notes(self) -> list[tuple[str, str]]:

@@ -7,5 +7,5 @@ from .opening import (
 )
 from .place import (
     Place as Place,
-    published_states as published_states,
+    published_sets as published_sets,
 )

@@ -24,7 +24,7 @@ from tactile_toolkit.places.split_files import (
     unknown_split,
 )
 from tactile_toolkit.store.verification import DownloadRecord
-from tactile_toolkit.value_types import JsonObject
+from tactile_toolkit.value_types import JsonDict, JsonObject
 
 _COLUMNS_SHOWN = 8
 _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
@@ -465,24 +465,13 @@ def wrong_kind(held: DatasetKind, name: str, asked: str, content: str) -> errors
     return errors.InputError(f"{name!r} holds {held.content}; `{asked}` is for {content}", next=next_step)
 
 
-@dataclass(frozen=True, slots=True)
-class PublishedState:
-    """A published set, the size of its files on the Hub, and those in the cache.
+def published_sets() -> Iterator[JsonDict]:
+    """Ask the Hub for all published sets at once; yield what each holds and what is here, as JSON values.
 
     ``hub_bytes`` is None if the Hub does not answer. ``local_splits`` have files in the cache.
     """
 
-    published: PublishedSet
-    licence: str | None
-    hub_bytes: int | None
-    local_bytes: int
-    local_splits: list[str]
-
-
-def published_states() -> Iterator[PublishedState]:
-    """Ask the Hub for all published sets at once."""
-
-    def state(known: PublishedSet) -> PublishedState:
+    def state(known: PublishedSet) -> JsonDict:
         licence = known.licence
         hub_bytes = None
         with suppress(errors.ToolkitError):
@@ -491,10 +480,19 @@ def published_states() -> Iterator[PublishedState]:
                 licence = licence or answer.licence
                 hub_bytes = answer.size_bytes
         cached = find_cached(known.repo_id)
-        if cached is None or not cached.size_bytes:
-            return PublishedState(known, licence, hub_bytes, 0, [])
-        splits = list(splits_by_name(cached.remote, known.repo_id))
-        return PublishedState(known, licence, hub_bytes, cached.size_bytes, splits)
+        local_bytes = 0 if cached is None else cached.size_bytes
+        return {
+            "name": known.name,
+            "repository": known.repo_id,
+            "content": known.content,
+            "citation": known.citation,
+            "licence": licence,
+            "hub_bytes": hub_bytes,
+            "local_bytes": local_bytes,
+            "local_splits": list(splits_by_name(cached.remote, known.repo_id))
+            if cached and local_bytes
+            else [],
+        }
 
     return run.in_threads(
         state, [known for kind in DatasetKind.installed() for known in kind.published], _THREADS

@@ -59,5 +59,4 @@ from .parquet import (
     named_damage as named_damage,
     open_checked as open_checked,
     ParquetStyle as ParquetStyle,
-    read_report as read_report,
 )

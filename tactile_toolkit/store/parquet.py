@@ -265,11 +265,6 @@ def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None =
             yield parquet.read_row_group(group, columns=columns, use_threads=False)
 
 
-def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a report, or some of its columns, as one Arrow table; raises as :func:`report_pieces`."""
-    return pa.concat_tables(report_pieces(folder, path, columns))
-
-
 def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | None:
     """Write one report over all shards of the manifest and return its checksum; None if no shard has one.
 

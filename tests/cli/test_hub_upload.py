@@ -156,5 +156,5 @@ def test_a_damaged_folder_is_not_sent(server, folder, tmp_path, capsys):
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
     assert call("tactile", "upload", copy, NAME, "--yes") == 3
-    assert "data/test-00000-of-00001.parquet is missing" in capsys.readouterr().err
+    assert "data/test-00000-of-00001.parquet: is missing" in capsys.readouterr().err
     assert server.requests == []

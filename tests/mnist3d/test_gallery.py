@@ -13,7 +13,7 @@ from mnist3d.digit_records import REPORT_FILE
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store import open_folder, read_report
+from tactile_toolkit.read import Shard
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, index_of
 
@@ -44,7 +44,7 @@ def test_the_page_shows_every_digit_with_its_report(folder, tmp_path):
     assert column(index, "Split") == [[split] for split, _ in expected]
     assert column(index, "Class") == [[str(record.label)] for _, record in expected]
     assert column(index, "Writer") == [[str(record.writer)] for _, record in expected]
-    report = read_report(open_folder(str(folder)), REPORT_FILE).to_pylist()
+    report = Shard(str(folder / REPORT_FILE)).read().to_pylist()
     found = {(row["split"], row["id"]): row for row in report}
     rows = [found[split, record.id] for split, record in expected]
     assert column(index, "Print warnings") == [row["warnings"] or ["none"] for row in rows]

@@ -57,7 +57,7 @@ def test_it_accepts_what_load_accepts(single_folder, tmp_path, monkeypatch):
 
 def test_before_an_upload_damage_or_errors_of_the_card_are_listed(single_folder, tmp_path):
     realtouch.select(str(single_folder), str(tmp_path), contact=True)
-    assert list_findings(open_folder(str(tmp_path))) == []
+    assert not list_findings(open_folder(str(tmp_path)))
     card, (shard,) = tmp_path / "README.md", (tmp_path / "data").glob("train-*")
     card.write_text(card.read_text().replace("dataset_info", "info"))
     assert [each.file for each in list_findings(open_folder(str(tmp_path)))] == ["README.md"]

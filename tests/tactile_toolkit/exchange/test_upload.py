@@ -199,7 +199,7 @@ def test_a_folder_without_its_card_is_not_sent(server, folder):
     (folder / "README.md").unlink()
     with pytest.raises(
         IntegrityError,
-        match=r"README\.md is missing; next: run the command that made it again, or the command `card`",
+        match=r"README\.md: is missing; next: run the command that made it again, or the command `card`",
     ) as refused:
         upload(folder)
     assert str(refused.value).count("next: ") == 1

@@ -36,10 +36,10 @@ for shard in open_place(sys.argv[1]).shards("train"):
 """,
     ),
     "report": (
-        "tactile_toolkit.store.parquet",
+        "tactile_toolkit.read.shard",
         """
-from tactile_toolkit.store import open_folder
-assert len(tactile_toolkit.store.parquet.read_report(open_folder(sys.argv[1]), "reports/toy.parquet"))
+from tactile_toolkit.read import Shard
+assert len(Shard(sys.argv[1] + "/reports/toy.parquet").read())
 """,
     ),
 }

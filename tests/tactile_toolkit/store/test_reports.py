@@ -10,8 +10,9 @@ import msgspec
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.read import Shard
 from tactile_toolkit.store import build, open_folder, parquet
-from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
+from tactile_toolkit.store.parquet import ParquetStyle, merge_reports
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"
@@ -38,7 +39,7 @@ def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits
     (tmp_path / "set" / "data/train-00002-of-00004.parquet").unlink()  # made again, the others are not
     build(folder, toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
-    assert Counter(read_report(folder, REPORT)["shard"].to_pylist()) == {
+    assert Counter(Shard(folder.address(REPORT)).read()["shard"].to_pylist()) == {
         **{f"train-{index:05d}-of-00004": 5 - index % 2 for index in range(4)},
         "test-00000-of-00002": 5,
         "test-00001-of-00002": 4,
@@ -54,7 +55,7 @@ def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
     with pytest.raises(IntegrityError, match=r"holds 5 rows of shard train-00000-of-00004, expected 6"):
         merge_reports(folder, REPORT, more)
     assert folder_bytes(whole) == before
-    assert len(read_report(folder, REPORT, ["id"])) == 27
+    assert len(Shard(folder.address(REPORT)).read(["id"])) == 27
 
 
 def test_a_report_of_more_shards_than_the_manifest_is_put_right(tmp_path, whole):
