@@ -194,6 +194,18 @@ def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[str, 
     }
 
 
+def tell_further(size: tuple[int, int], each_s: float, rounds: int, home: Path) -> None:
+    """Tell what a touch costs without the card, its pictures and the other files that a set has once."""
+    import realtouch
+
+    few = (rounds // 4) * TOUCHES
+    chosen = make_set(home / f"few-{size[0]}", size, rounds // 4)
+    few_s = few / per_second([(lambda out: realtouch.export(chosen, out / "set", "flat"), few)], home)[0]
+    further_s = (rounds * TOUCHES * each_s - few_s) / (rounds * TOUCHES - few)
+    what = f"each further touch, `{COMMANDS['flat']}`, {size[0]}x{size[1]}"
+    tell(f"flat_further_{size[0]}", what, further_s, "s", statistic=f"median of {TURNS}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=40)
@@ -208,6 +220,8 @@ def main() -> None:
                 if what not in options.only:
                     continue
                 ours_s, plain_s, read_s = (1 / rate for rate in per_second(jobs, home))
+                if what == "flat":
+                    tell_further(size, ours_s, options.rounds, home)
                 tell(
                     f"{what}_{size[0]}", f"a touch of {touches:,}, `{COMMANDS[what]}`, {name}", ours_s, "s",
                     statistic=f"median of {TURNS}", plain=(plain_s, way), limit=(read_s, "reading alone"),

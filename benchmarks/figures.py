@@ -92,6 +92,15 @@ BENCHMARKS: dict[str, tuple[str, ...]] = {
     "loop": ("tactile_sim/loop", "tactile_sim/mujoco.py", "tactile_sim/elastic"),
     "training_order": ("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ),
     "scale": (*_STORE, "mnist3d/digit_generation.py"),
+    "first_use": (
+        "benchmarks/first_use.py",
+        "mnist3d/compiled_loops.py",
+        "tactile_toolkit/mesh",
+        "tactile_toolkit/kernels.py",
+        "tactile_envs/touch_kernels.py",
+        "tactile_envs/episode_kernels.py",
+        "tactile_sim/elastic",
+    ),
 }
 """Scripts by name, and what of the toolkit their figures are of."""
 
@@ -120,6 +129,7 @@ COMPARED = (
     ("training_order.training_datasets", "touch in training order, batches of 64, cached"),
     ("training_order.training_memory", "the same"),
     ("exchange.flat_320", "touch of 10,240 exported, `flat`"),
+    ("exchange.flat_further_320", "each further touch exported, `flat`"),
     ("exchange.webdataset_320", "touch exported, `webdataset`"),
     ("exchange.lerobot_320", "touch exported, `lerobot`"),
     ("exchange.import_folder_320", "touch of 10,240 imported, `folder`"),
@@ -142,6 +152,9 @@ COMPARED = (
     ("native_environments.start_depth_16", "start of an episode, 16 environments"),
     ("height_maps.made", "height map, 0.2 mm"),
     ("scale.nodes", "600 digits, two Ray nodes"),
+    ("first_use.generate", "first `mnist3d generate` of 100 digits, nothing compiled, processor time"),
+    ("first_use.environment", "first environment and its digits, the same"),
+    ("first_use.elastic", "first press of an elastic gel, the same"),
 )
 """The table of benchmarks/README.md: figures by their names, and what they are of."""
 
