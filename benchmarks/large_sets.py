@@ -140,7 +140,7 @@ def info(folder: Path) -> dict[str, float]:
     """``tactile info`` as a user calls it; memory is that of the command."""
     start_s = time.perf_counter()
     subprocess.run(
-        [sys.executable, "-m", "tactile_toolkit", "info", str(folder)], check=True, capture_output=True
+        [sys.executable, "-m", "cli", "tactile", "info", str(folder)], check=True, capture_output=True
     )
     elapsed_s, used = time.perf_counter() - start_s, resource.getrusage(resource.RUSAGE_CHILDREN)
     return {"s": elapsed_s, "s of the processor": used.ru_utime + used.ru_stime, "MB": used.ru_maxrss / 1e3}

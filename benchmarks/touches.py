@@ -152,7 +152,7 @@ def workers(folder: str, split: str) -> None:
     for count in ("1", "2"):
         with tempfile.TemporaryDirectory() as out:
             before = os.times()
-            command = [sys.executable, "-m", "tactile_sim", "generate", folder, *words, split]
+            command = [sys.executable, "-m", "cli", "tactile-sim", "generate", folder, *words, split]
             subprocess.run([*command, "--workers", count, "--out", f"{out}/set"], check=True)
             after = os.times()
         made_s.append(sum(after[2:4]) - sum(before[2:4]))

@@ -258,7 +258,7 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
     os.close(reader)
     with os.fdopen(writer, "w") as closed:
         done = subprocess.run(
-            [sys.executable, "-m", "tactile_toolkit", *words],
+            [sys.executable, "-m", "cli", "tactile", *words],
             cwd=tmp_path,
             stdout=closed,
             stderr=closed if words[-1] == "missing" else subprocess.PIPE,
@@ -293,7 +293,7 @@ def test_the_exit_code_needs_no_stream(tmp_path, redirected):
 def test_a_file_does_not_take_the_number_of_a_closed_stream(tmp_path):
     """Output of a library there would end up in the file."""
     words = ["generate", "--scenes", "train=3", "--workers", "1", "--out", "scenes", "--quiet"]
-    done = _shell(tmp_path, [sys.executable, "-m", "starstruck_gen", *words], "<&- >&- 2>&-")
+    done = _shell(tmp_path, [sys.executable, "-m", "cli", "starstruck", *words], "<&- >&- 2>&-")
     assert done.returncode == 0
     assert call("tactile", "verify", tmp_path / "scenes") == 0
     code = (
@@ -313,7 +313,7 @@ def test_a_file_does_not_take_the_number_of_a_closed_stream(tmp_path):
 
 
 def _redirected(folder: Path, words: list[str], redirected: str) -> subprocess.CompletedProcess[str]:
-    return _shell(folder, [sys.executable, "-m", "tactile_toolkit", *words], redirected)
+    return _shell(folder, [sys.executable, "-m", "cli", "tactile", *words], redirected)
 
 
 def _shell(folder: Path, words: list[str], redirected: str) -> subprocess.CompletedProcess[str]:

@@ -177,7 +177,7 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
 def test_the_log_of_the_client_is_silent(server, tmp_path):
     """Its lines about each retry would come from threads, without a next step."""
     server.faults.fail("*/test-00000*", 503, times=2)
-    words = ("-m", "tactile_toolkit", "download", DIGITS, "--out", str(tmp_path / "out"), "--yes")
+    words = ("-m", "cli", "tactile", "download", DIGITS, "--out", str(tmp_path / "out"), "--yes")
     done = subprocess.run(
         [sys.executable, *words], env=settings(server, tmp_path), capture_output=True, text=True, check=False
     )

@@ -298,7 +298,7 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
     (tmp_path / "train.toml").write_text("discriminator_filters = 4\ncrop = 1.0\n")
     options = ["--config", str(tmp_path / "train.toml"), "--filters", "2", "--blocks", "1", "--steps", "2"]
-    command = [sys.executable, "-m", "tactile_sim", "train", pairs, "--out", str(out), *options]
+    command = [sys.executable, "-m", "cli", "tactile-sim", "train", pairs, "--out", str(out), *options]
     with subprocess.Popen(
         [*command, "--device", "cpu"],
         env={**os.environ, **shared, "RANK": "1", "LOCAL_RANK": "1"},

@@ -1,0 +1,15 @@
+"""``python -m cli mnist3d generate``: a command, for when the commands are not on PATH."""
+
+from __future__ import annotations
+
+import sys
+
+from cli import start
+
+_PROGRAMS = ("env-assets", "mnist3d", "realtouch", "starstruck", "tactile", "tactile-envs", "tactile-sim")
+
+program = "".join(sys.argv[1:2])
+if program not in _PROGRAMS:
+    sys.exit(f"python -m cli {program}: expected one of {', '.join(_PROGRAMS)}")
+del sys.argv[1]
+getattr(start, program.replace("-", "_"))()
