@@ -212,14 +212,25 @@ def test_debug_lets_the_traceback_through(place, monkeypatch):
     )
 
 
-@pytest.mark.one_at_a_desk
+def test_commands_run_without_being_on_the_path():
+    def run(*words):
+        return subprocess.run(
+            [sys.executable, "-m", "cli", *words], capture_output=True, text=True, check=False
+        )
+
+    done = run("env-assets", "--version")
+    assert (done.returncode, done.stdout, done.stderr) == (
+        0,
+        f"tactile-toolkit {version('tactile-toolkit')}\n",
+        "",
+    )
+    assert all(program in run("cat").stderr for program in PACKAGES.values())
+
+
 @pytest.mark.parametrize("package", PACKAGES)
-def test_packages_have_a_version_and_run_as_modules(package, capsys):
+def test_packages_have_a_version(package, capsys):
     assert import_module(package).__version__ == version("tactile-toolkit")
     line = f"tactile-toolkit {version('tactile-toolkit')}\n"
-    module = [sys.executable, "-m", package, "--version"]
-    done = subprocess.run(module, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, line, "")
     program = PACKAGES[package]
     command = COMMAND.get(program, "generate")
     assert call(program, command, "--version") == 0
