@@ -80,7 +80,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     from mnist3d.digit_generation import DigitGenerator, DigitSetSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.generation import plan_build
-    from tactile_toolkit.store import ShardName, encode_parquet
+    from tactile_toolkit.store import ShardName
 
     small = SolidSpec(target_vertices=600)
     plan = plan_build(DigitGenerator(DigitSetSpec(SyntheticSource(), small, limit=1)), ("train",))
@@ -90,7 +90,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
         for index in range(groups // GROUPS_OF_SHARD)
     ]
     first.parent.mkdir(parents=True)
-    first.write_bytes(encode_parquet(rows, replace(plan.style, rows_per_group=1)))
+    first.write_bytes(replace(plan.style, rows_per_group=1).encode(rows))
     for path in others:
         path.hardlink_to(first)
 
@@ -108,7 +108,7 @@ def fabricate(folder: Path, shards: int) -> None:
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store import ShardName, open_folder
     from tactile_toolkit.store.manifest import write_manifest
-    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
+    from tactile_toolkit.store.parquet import REPORT_STYLE
 
     made = generate(DigitSetSpec(SyntheticSource(), limit=1), folder, ("train",))
     (record,) = made.shards
@@ -119,7 +119,7 @@ def fabricate(folder: Path, shards: int) -> None:
     row = pq.read_table(folder / REPORT_FILE)
     rows = pa.concat_tables([row] * shards).combine_chunks()
     place = row.schema.get_field_index("shard")
-    content = encode_parquet(rows.set_column(place, "shard", [[str(name) for name in names]]), REPORT_STYLE)
+    content = REPORT_STYLE.encode(rows.set_column(place, "shard", [[str(name) for name in names]]))
     (folder / REPORT_FILE).write_bytes(content)
     records = tuple(msgspec.structs.replace(record, file=name.data_path) for name in names)
     manifest = replace(made, shards=records, files={REPORT_FILE: hashlib.sha256(content).hexdigest()})
@@ -193,7 +193,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
 
     from mnist3d.digit_records import report_table
     from tactile_toolkit.store import ShardName
-    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
+    from tactile_toolkit.store.parquet import REPORT_STYLE
 
     rng = np.random.default_rng(1)
     each = rows // shards
@@ -211,7 +211,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
         columns = [pa.array(given.get(field.name, values[field.type]()), field.type) for field in schema]
         path = folder / shard.report_path
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encode_parquet(pa.Table.from_arrays(columns, schema=schema), REPORT_STYLE))
+        path.write_bytes(REPORT_STYLE.encode(pa.Table.from_arrays(columns, schema=schema)))
 
 
 def merging(folder: Path) -> dict[str, float]:

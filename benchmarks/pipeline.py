@@ -41,7 +41,6 @@ from plain_ways import medians_in_turn_s
 from mnist3d.digit_generation import DigitSetSpec, generate, make_row
 from mnist3d.digit_records import PARQUET_STYLE, DigitRow, digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.store import encode_parquet
 
 SOURCE = SyntheticSource()
 MESH_COLUMNS = ["mesh.vertices", "mesh.faces"]
@@ -107,7 +106,7 @@ def report_written(count: int) -> None:
 
 
 def written_row(spec: DigitSetSpec, digit_id: int) -> None:
-    encode_parquet(DigitRow.table([make_row(digit_id, spec)], digit_schema()), PARQUET_STYLE)
+    PARQUET_STYLE.encode(DigitRow.table([make_row(digit_id, spec)], digit_schema()))
 
 
 def solid_s(spec: DigitSetSpec, digit_id: int) -> float:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mnist3d.digit_records import PARQUET_STYLE
 from tactile_sim import TouchPlan, TouchSetSpec
 from tactile_sim.sets.generation import TouchGenerator
-from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open_folder, read_manifest
+from tactile_toolkit.store import DataFolder, ParquetStyle, open_folder, read_manifest
 
 # Any 256 random numbers give chunks of the same mean size; those of the Hub are different.
 GEAR = np.random.default_rng(0).integers(0, 1 << 64, 256, dtype=np.uint64)
@@ -100,7 +100,7 @@ def main() -> None:
         stored = style_of(open_folder(name))
         plain = replace(stored, values_per_page=None, chunks_by_content=False, page_index=False)
         for pages, style in (("plain", plain), ("ours", stored)):
-            first, *changed_sets = ([encode_parquet(table, style) for table in tables] for tables in sets)
+            first, *changed_sets = ([style.encode(table) for table in tables] for tables in sets)
             shares = " ".join(f"{shared(first, second):6.1%}" for second in changed_sets)
             print(f"  {pages:6} {sum(map(len, first)):>12,} bytes; replaced, removed: {shares}")
 

@@ -29,8 +29,7 @@ from mnist3d.digit_options import SolidSpec
 from mnist3d.digit_records import PARQUET_STYLE, DigitRow, digit_schema
 from mnist3d.ink.binarisation import binarise, count_bodies_and_holes
 from mnist3d.solid.algorithm import literal_solid, solidify
-from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintProfile, PrintReport, inspect
-from tactile_toolkit.store import encode_parquet
+from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintProfile, PrintReport
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.mnist3d.surface_distances import symmetric_distances_mm
@@ -75,7 +74,7 @@ def time_table(images: list[np.ndarray], repeats: int) -> None:
     spec = SolidSpec()
     fast = [best_ms(lambda p=p: solidify(p, spec), repeats) for p in images]
     meshes = [solidify(p, spec) for p in images]
-    checked = [best_ms(lambda m=m: inspect(m), repeats) for m in meshes]
+    checked = [best_ms(lambda m=m: PrintReport.of(m), repeats) for m in meshes]
     literal = [best_ms(lambda p=p: solidify(p, spec, method="literal"), 1) for p in images]
     masks = [binarise(p, spec) for p in images]
     undecimated = [best_ms(lambda m=m: literal_solid(m, spec, decimated=False), 1) for m in masks]
@@ -110,7 +109,7 @@ def plain_literal(pixels: np.ndarray) -> Mesh:
 def our_row(pixels: np.ndarray) -> DigitRow:
     """Make, prove and measure a digit."""
     mesh = solidify(pixels, SPEC)
-    report = inspect(mesh, PROFILE)
+    report = PrintReport.of(mesh, PROFILE)
     volume_m3 = report.volume_mm3 * 1e-9
     return DigitRow(
         0, 0, mesh.vertices_m, mesh.faces, writer=-1, volume_m3=volume_m3, source="", report=report
@@ -119,7 +118,7 @@ def our_row(pixels: np.ndarray) -> DigitRow:
 
 def our_shard(rows: list[DigitRow]) -> None:
     """Write rows as `mnist3d generate` does."""
-    encode_parquet(DigitRow.table(rows, digit_schema()), PARQUET_STYLE)
+    PARQUET_STYLE.encode(DigitRow.table(rows, digit_schema()))
 
 
 def peer_table(images: list[np.ndarray]) -> None:
@@ -167,7 +166,7 @@ def accuracy_table(images: list[np.ndarray], points: int) -> None:
         spec = SolidSpec()
         mask = binarise(pixels, spec)
         fast, literal = solidify(pixels, spec), literal_solid(mask, spec, decimated=False)
-        report, oracle = inspect(fast), inspect(literal)
+        report, oracle = PrintReport.of(fast), PrintReport.of(literal)
         counts = count_bodies_and_holes(mask)
         same += counts == (report.bodies, report.genus) == (oracle.bodies, oracle.genus)
         distances_mm = symmetric_distances_mm(fast, literal, points)

@@ -28,7 +28,7 @@ def wrench(
 
     Example: env-assets wrench --opening-mm 13 --out assets/wrench
     """
-    report = mesh.inspect(env_assets.wrench_mesh(spec))
+    report = mesh.PrintReport.of(env_assets.wrench_mesh(spec))
     if not dry_run:
         env_assets.write_wrench(spec, str(out), overwrite=overwrite)
     sink.document({"folder": str(out), "written": not dry_run, **_wrench_facts(spec, report)})

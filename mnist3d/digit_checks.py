@@ -18,12 +18,12 @@ from tactile_toolkit.mesh import (
     Mesh as Mesh,
     PrintProfile as PrintProfile,
     PrintReport as PrintReport,
-    inspect as inspect,
     read_mesh as read_mesh,
     write_mesh as write_mesh,
 )
 from tactile_toolkit.value_types import JsonDict
 
+inspect = mesh.PrintReport.of
 _ROWS_SHOWN = 20
 _SHOWN = [
     column
@@ -121,7 +121,7 @@ def _unreadable(detail: str) -> mesh.PrintReport:
 def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:
     try:
         row.integer("label")
-        return mesh.inspect(mesh.SolidRecord(row), profile)
+        return mesh.PrintReport.of(mesh.SolidRecord(row), profile)
     except IntegrityError as error:
         return _unreadable(str(error))
 
@@ -163,7 +163,7 @@ def check_content(
     profile = profile or mesh.PrintProfile()
     if isinstance(source, str) and is_mesh_file(source):
         try:
-            report = mesh.inspect(mesh.read_mesh(source, unit=unit), profile)
+            report = mesh.PrintReport.of(mesh.read_mesh(source, unit=unit), profile)
         except InputError as error:
             report = _unreadable(str(error))
         return CheckedMeshes(source, (CheckedMesh(Path(source).name, report),), profile, is_file=True)

@@ -256,7 +256,7 @@ def make_row(digit_id: int, spec: DigitSetSpec, *, is_drawing: bool = False) -> 
         made = algorithm.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
     except ItemError as error:
         raise ItemError(error.reason, f"{digit_name}: {error.message}") from error
-    report = mesh.inspect(made, spec.profile)
+    report = mesh.PrintReport.of(made, spec.profile)
     # Only meshes that bound a solid are stored.
     if report.problem is not None:
         raise ItemError(report.problem, f"{digit_name} gives no valid solid: {report.detail}")

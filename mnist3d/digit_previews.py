@@ -152,7 +152,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilt
 
 def _facts(record: digit_records.DigitRecord, report: JsonObject | None) -> JsonDict:
     if report is None:
-        inspected = mesh.inspect(mesh.Mesh(record.vertices_m, record.faces))
+        inspected = mesh.PrintReport.of(mesh.Mesh(record.vertices_m, record.faces))
         problem = [] if inspected.problem is None else [inspected.problem]
         report = {**inspected.to_row(), "warnings": [*problem, *inspected.warnings]}
     return {**report, "writer": None if record.writer == digit_source.NO_WRITER else record.writer}

@@ -210,7 +210,7 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
         str(path), None, spec.size, changes=spec.changes, which=spec.ink, threshold=spec.threshold, page=page
     )
     part = algorithm.solid_of_ink(sized, spec.base_mm).on_plate()
-    report = mesh.inspect(part, spec.profile).require_solid()
+    report = mesh.PrintReport.of(part, spec.profile).require_solid()
     notes = sized.notes
     if spec.base_mm is not None:
         width, depth = (side - 2 * mesh.BASE_MARGIN_MM for side in report.size_mm[:2])

@@ -280,7 +280,7 @@ def _sample(generator: RowGenerator, plan: store.BuildPlan) -> tuple[int, float,
     table = content.table
     if few.size == sum(task.size for task in plan.tasks):
         require_rows([(len(table), content.skipped)])
-    size_bytes = len(store.encode_parquet(table, plan.style)) if len(table) else 0
+    size_bytes = len(plan.style.encode(table)) if len(table) else 0
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 
 

@@ -192,7 +192,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.Card.of_copy(manifest, KIND, title, columns, "mit", **terms).write(folder, manifest, KIND)
         return
     spec = WrenchSpec(**manifest.spec)
-    report = mesh.inspect(wrench_mesh(spec))
+    report = mesh.PrintReport.of(wrench_mesh(spec))
     cards.Card(
         template=KIND.card_template,
         title=title,

@@ -351,7 +351,7 @@ def _require_bounded(picture: Image.Image, path: Path) -> None:
     if picture.format not in ("JPEG", "MPO"):
         return
     try:
-        touch.require_bounded_jpeg(path.read_bytes())
+        touch.EncodedImage(path.read_bytes()).require_bounded()
     except ValueError as error:
         raise InputError(str(error)) from error
 

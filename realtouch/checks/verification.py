@@ -14,7 +14,7 @@ from realtouch import kind
 from realtouch.convert import conversion, picture_files
 from realtouch.touches import damage, loading, media, schema, stored_round
 from tactile_toolkit import cards, errors, places, read, run, store, wording
-from tactile_toolkit.touch import decode_image, image_size
+from tactile_toolkit.touch import EncodedImage, decode_image
 
 # How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each after the
 # mark of a field that follows on the one before it (Thrift's compact protocol).
@@ -66,13 +66,10 @@ def _damage_in_file(
             problem = "is missing"
         yield damage.Damage(path, None, None, "", problem)
         return
-    look: Callable[[bytes], object] = image_size
-    if decode:
-        look = decode_image
     try:
         for number, (name, image) in enumerate(_images_in(folder, path)):
             try:
-                look(image)
+                decode_image(image) if decode else EncodedImage(image).size()
             except ValueError as error:
                 yield damage.Damage(path, number, None, name, str(error))
     except tarfile.TarError as error:
@@ -410,7 +407,7 @@ def _noted(damages: list[damage.Damage], row: stored_round.StoredRound) -> Itera
 
 def _size_of(data: bytes | memoryview, *, decode: bool) -> tuple[int, ...]:
     """Return height and width of an image."""
-    return decode_image(data).shape[:2] if decode else image_size(data)
+    return decode_image(data).shape[:2] if decode else EncodedImage(data).size()
 
 
 def _clip_size(row: stored_round.StoredRound, touch: int, noted: _Noted, *, decode: bool) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from realtouch.formats import touch_rows
 from realtouch.touches import datasets, loading, media, poses, schema, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import catalog, errors, kind, places, read, store
-from tactile_toolkit.touch import IMAGE_SUFFIX, MEDIA_TYPE, intact_size
+from tactile_toolkit.touch import IMAGE_SUFFIX, MEDIA_TYPE, EncodedImage
 from tactile_toolkit.value_types import AnyArray, Int64, JsonDict
 
 ExportLayout = Literal[
@@ -300,7 +300,7 @@ class Episodes:
 
     def _require_size(self, row: stored_round.StoredRound, touch: int, image: bytes | memoryview) -> None:
         with row.naming(row.media_column, touch):
-            height, width = intact_size(image)
+            height, width = EncodedImage(image).intact_size()
         if (height, width) != self.size:
             raise errors.InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "

@@ -135,8 +135,8 @@ class _PackEpisodes:
         return conversion.with_files(
             pa.table(index),
             {
-                f"{_FOLDER}/data/{file}": store.encode_parquet(frames, style),
-                f"{_FOLDER}/meta/episodes/{file}": store.encode_parquet(pa.table(meta), _META_STYLE),
+                f"{_FOLDER}/data/{file}": style.encode(frames),
+                f"{_FOLDER}/meta/episodes/{file}": _META_STYLE.encode(pa.table(meta)),
             },
         )
 
@@ -318,7 +318,7 @@ class _WriteMeta:
         meta = {
             "info.json": _json_bytes(info),
             "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
-            "tasks.parquet": store.encode_parquet(_task_table(self.tasks), _META_STYLE),
+            "tasks.parquet": _META_STYLE.encode(_task_table(self.tasks)),
         }
         return files | conversion.write_changed(
             folder, {f"{_FOLDER}/meta/{name}": meta[name] for name in meta}

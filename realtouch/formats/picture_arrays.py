@@ -203,7 +203,7 @@ class EncodedPictures:
         """Return the pictures; InputError if none of the first rows is a picture."""
         for number in range(min(len(self), _ROWS_TRIED)):
             with suppress(ValueError, errors.ItemError):
-                touch.image_size(touch.storable_image(self.read(number))[0])
+                touch.EncodedImage(touch.EncodedImage(self.read(number)).storable()[0]).size()
                 return self
         raise errors.InputError(
             f"{self.address!r}: rows of bytes; expected pictures, encoded or as an array of pixels",

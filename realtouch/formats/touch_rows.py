@@ -20,7 +20,7 @@ from realtouch.convert import conversion, picture_files
 from realtouch.touches import image_contacts, loading, media, rounds, stored_round
 from realtouch.touches.schema import POSITION_COLUMNS
 from tactile_toolkit import errors, read, store, touch
-from tactile_toolkit.touch import MEDIA_TYPE, doubtful_images, encode_image, intact_size, is_jpeg
+from tactile_toolkit.touch import MEDIA_TYPE, EncodedImage, encode_image
 from tactile_toolkit.value_types import UInt8
 
 Difference = Literal["grey", "absolute"]
@@ -145,9 +145,9 @@ class TouchRows:
         columns["id"] = [rounds.touch_id(name, touch) for touch in range(len(shown))]
         images = shown.stored()
         if self.kind is None:
-            for touch in doubtful_images(images):
+            for touch in EncodedImage.doubtful(images):
                 with row.naming(row.media_column, touch, _WHERE[row.kind].format(shown.frames[touch])):
-                    intact_size(images[touch].as_py())
+                    EncodedImage(images[touch].as_py()).intact_size()
         else:
             images = pa.array(self._encoded(row, shown, images, self.kind), pa.binary())
         columns[_IMAGE] = media.image_column(
@@ -174,7 +174,7 @@ class TouchRows:
             if self.difference is not None:
                 background = image_contacts.background(shown.images[number]) if base is None else base
                 pixels = contact.difference(pixels, background, self.difference)
-            if self.difference is None and kind == "jpeg" and is_jpeg(content):
+            if self.difference is None and kind == "jpeg" and EncodedImage(content).is_jpeg:
                 yield content
             else:
                 yield encode_image(pixels, kind)

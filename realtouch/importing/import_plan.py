@@ -445,5 +445,7 @@ def _sizes(
     for content, picture in zip(read(locations), locations, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[touch.intact_size(touch.storable_image(content)[0])] += counts.get(picture, 1)
+                sizes[touch.EncodedImage(touch.EncodedImage(content).storable()[0]).intact_size()] += (
+                    counts.get(picture, 1)
+                )
     return sizes

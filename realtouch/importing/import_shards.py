@@ -24,10 +24,8 @@ from tactile_toolkit import errors, store, wording
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.touch import (
     MEDIA_TYPE,
+    EncodedImage,
     decode_image,
-    intact_size,
-    is_jpeg,
-    storable_image,
     with_features,
 )
 from tactile_toolkit.value_types import AnyArray, Int64
@@ -68,7 +66,7 @@ def _storable_images(
             images.append(content)
             continue
         try:
-            image, format_name = storable_image(content)
+            image, format_name = EncodedImage(content).storable()
         except ValueError as error:
             images.append(errors.ItemError("image", str(error)))
             continue
@@ -188,7 +186,7 @@ class ImportTouches:
             try:
                 if isinstance(picture, errors.ItemError):
                     raise picture
-                size = intact_size(picture, is_upright=True)
+                size = EncodedImage(picture).intact_size(is_upright=True)
             except ValueError as error:
                 problem = errors.ItemError("image", str(error))
             except errors.ItemError as error:
@@ -314,7 +312,7 @@ def clip_of(
     else:
         time_s = stated.to_numpy() - stated[0].as_py()
     jpegs = pictures
-    if not all(map(is_jpeg, pictures)):
+    if not all(EncodedImage(picture).is_jpeg for picture in pictures):
         notes.append("pictures encoded as JPEG")
         jpegs = list(map(media.as_jpeg, pictures))
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0

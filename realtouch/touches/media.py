@@ -28,11 +28,10 @@ from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import (
     MEDIA_TYPE,
+    EncodedImage,
     decode_grey,
     decode_image,
     encode_image,
-    image_size,
-    is_jpeg,
 )
 from tactile_toolkit.value_types import AnyArray, Float32, Float64, Floating, UInt8
 
@@ -188,7 +187,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
         with self.row.naming("sensor_image", touch):
-            return image_size(self.encoded(touch))
+            return EncodedImage(self.encoded(touch)).size()
 
     def _several(self, index: Any) -> UInt8:
         return self.batch(index)
@@ -343,7 +342,7 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
         """Height and width of a frame, pixels."""
         data = self.encoded(0)
         with self.row.naming("sensor_video", self.touch):
-            return image_size(data)
+            return EncodedImage(data).size()
 
     @property
     def fps(self) -> float:
@@ -578,7 +577,7 @@ def image_column(images: pa.Array, names: Sequence[str]) -> pa.Array:
 
 def as_jpeg(image: bytes | memoryview) -> bytes:
     """Return an image for readers that only know JPEG: unchanged, or encoded again."""
-    return bytes(image) if is_jpeg(image) else encode_image(decode_image(image))
+    return bytes(image) if EncodedImage(image).is_jpeg else encode_image(decode_image(image))
 
 
 def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> UInt8:
@@ -597,7 +596,7 @@ def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) ->
 
     Raises IntegrityError, with the name, for one that cannot be decoded.
     """
-    sizes = {image_size(image) for image in images}
+    sizes = {EncodedImage(image).size() for image in images}
     if len(sizes) > 1:
         sizes_text = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
         raise errors.InputError(

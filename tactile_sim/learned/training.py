@@ -280,7 +280,7 @@ class _Training:
         table = pa.table(
             [pa.array(steps.astype(np.int64)), *map(pa.array, losses)], names=["step", *cyclegan.LOSSES]
         )
-        self.folder.write_bytes("losses.parquet", store.encode_parquet(table, store.ParquetStyle(65_536)))
+        self.folder.write_bytes("losses.parquet", store.ParquetStyle(65_536).encode(table))
         self.folder.write_bytes(f"samples/step-{done:07d}.png", self._sheet())
 
     def _sheet(self) -> bytes:

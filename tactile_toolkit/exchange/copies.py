@@ -232,7 +232,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         rows = mesh.SolidDataset[mesh.SolidRecord](
             read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
         )
-        content = store.encode_parquet(records.flat_table(rows), _VIEWER_STYLE)
+        content = _VIEWER_STYLE.encode(records.flat_table(rows))
         path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)
         return path, hashlib.sha256(content).hexdigest()

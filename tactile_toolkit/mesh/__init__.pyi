@@ -19,7 +19,6 @@ from .box_tree import (
     connected as connected,
 )
 from .printability import (
-    inspect as inspect,
     PrintReport as PrintReport,
 )
 from .mesh_options import (

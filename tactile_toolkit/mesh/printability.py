@@ -146,6 +146,35 @@ class PrintReport(TypedRow):
     notes: tuple[str, ...] = column(_WORDS, default=(), role="hidden")
     lows_mm: tuple[float, ...] = ()
 
+    @classmethod
+    def of(cls, mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
+        """Check whether a mesh bounds a solid, and measure it for printing.
+
+        A mesh that is not a solid gives a report, not an exception.
+
+        Parameters
+        ----------
+        mesh : Mesh, record of a data set, or trimesh.Trimesh
+            In metres, z pointing away from the plate.
+        profile : PrintProfile, optional
+            Printer and material.
+
+        Returns
+        -------
+        PrintReport
+
+        Raises
+        ------
+        InputError
+            The mesh has no triangles.
+        """
+        mesh = Mesh.of(mesh)
+        check = check_manifold(mesh)
+        if check.problem is not None:
+            counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
+            return cls(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
+        return _report_of_solid(mesh, check, profile or PrintProfile())
+
     @property
     def size_mm(self) -> tuple[float, float, float]:
         """Bounding box along x, y, z."""
@@ -205,35 +234,6 @@ class PrintReport(TypedRow):
             for word in WARNINGS
             if word in warned
         )
-
-
-def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
-    """Check whether a mesh bounds a solid, and measure it for printing.
-
-    A mesh that is not a solid gives a report, not an exception.
-
-    Parameters
-    ----------
-    mesh : Mesh, record of a data set, or trimesh.Trimesh
-        In metres, z pointing away from the plate.
-    profile : PrintProfile, optional
-        Printer and material.
-
-    Returns
-    -------
-    PrintReport
-
-    Raises
-    ------
-    InputError
-        The mesh has no triangles.
-    """
-    mesh = Mesh.of(mesh)
-    check = check_manifold(mesh)
-    if check.problem is not None:
-        counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
-        return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
-    return _report_of_solid(mesh, check, profile or PrintProfile())
 
 
 def _report_of_solid(mesh: Mesh, check: ManifoldCheck, profile: PrintProfile) -> PrintReport:

@@ -55,7 +55,6 @@ from .manifest import (
     without_collecting as without_collecting,
 )
 from .parquet import (
-    encode_parquet as encode_parquet,
     named_damage as named_damage,
     open_checked as open_checked,
     ParquetStyle as ParquetStyle,

@@ -77,10 +77,10 @@ class _WriteShard:
         """Write rows, then report rows, then further files, then the record that proves all of them."""
         folder, shard = self.folder, task.shard
         content = task.make()
-        data = content.encoded or parquet.encode_parquet(content.table, self.style)
+        data = content.encoded or self.style.encode(content.table)
         report = None
         if content.report is not None:
-            report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
+            report = parquet.REPORT_STYLE.encode(content.report)
         record = ShardRecord(
             shard.data_path,
             shard.split,

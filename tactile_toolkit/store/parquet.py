@@ -59,20 +59,19 @@ class ParquetStyle:
     chunks_by_content: bool = False
     page_index: bool = True
 
+    def encode(self, table: pa.Table) -> bytes:
+        """Encode an Arrow table as the bytes of a Parquet file; equal tables, equal bytes."""
+        stream = io.BytesIO()
+        _write(stream.write, table.schema, [table], self)
+        return stream.getvalue()
+
 
 # Reports are small, and read as a whole.
 REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)
 
 
-def encode_parquet(table: pa.Table, style: ParquetStyle) -> bytes:
-    """Encode an Arrow table as the bytes of a Parquet file; equal tables, equal bytes."""
-    stream = io.BytesIO()
-    _write(stream.write, table.schema, [table], style)
-    return stream.getvalue()
-
-
 def stream_parquet(stream: IO[bytes], tables: Iterable[pa.Table], style: ParquetStyle) -> str:
-    """Write tables, one after another, as the bytes of :func:`encode_parquet` for all of them together.
+    """Write tables, one after another, as the bytes of :meth:`ParquetStyle.encode` for all of them together.
 
     Only one row group is in memory at a time. Returns the SHA-256 of the bytes.
     """

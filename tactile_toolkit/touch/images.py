@@ -13,6 +13,7 @@ import struct
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -104,91 +105,140 @@ def picture_formats() -> tuple[str, ...]:
     return (*known, "HEIF")
 
 
-def is_jpeg(data: memoryview | bytes) -> bool:
-    """Return whether data starts with the signature of a JPEG."""
-    return data[:3] == _JPEG_START
+@dataclass(frozen=True, slots=True)
+class EncodedImage:
+    """The bytes of an image, or of a file that may be none: what they are before they are decoded."""
 
+    data: bytes | memoryview
 
-def image_size(data: memoryview | bytes) -> tuple[int, int]:
-    """Read height and width of a JPEG, PNG or WebP from its header, without decoding it.
+    @property
+    def is_jpeg(self) -> bool:
+        """Whether the data start with the signature of a JPEG."""
+        return self.data[:3] == _JPEG_START
 
-    Raises ValueError when the data is not such an image or exceeds the limits above.
-    """
-    mode, pictures = "", 1
-    if is_jpeg(data):
-        require_bounded_jpeg(data)
-    try:
-        if is_jpeg(data):
-            height, width, *_ = simplejpeg.decode_jpeg_header(data)
-        else:
-            image = _open_image(data)
-            height, width, mode = image.height, image.width, image.mode
-            pictures = getattr(image, "n_frames", 1)
-    except Exception as error:
-        raise _undecodable(data) from error
-    if pictures > 1:
-        raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
-    if mode in _DEEP_MODES:
-        raise ValueError(f"an image of 16 bits a colour ({mode}); expected 8")
-    if height * width > MAX_IMAGE_PIXELS:
-        raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
-    return height, width
+    def size(self) -> tuple[int, int]:
+        """Read height and width of a JPEG, PNG or WebP from its header, without decoding it.
 
-
-def intact_size(data: bytes | memoryview, *, is_upright: bool = False) -> tuple[int, int]:
-    """Return height and width of an image, after a check of its beginning and end.
-
-    With ``is_upright``, images that their Exif or XMP data ask readers to turn are refused.
-
-    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
-    mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises ValueError
-    for an image that is damaged or refused.
-    """
-    size = image_size(data)
-    if not is_jpeg(data):
-        decode_image(data)
-    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
+        Raises ValueError where the data are not such an image or exceed the limits above.
+        """
+        mode, pictures = "", 1
+        data = self.data
+        if self.is_jpeg:
+            self.require_bounded()
         try:
-            decode_image(data)
-        except ValueError as error:
+            if self.is_jpeg:
+                height, width, *_ = simplejpeg.decode_jpeg_header(data)
+            else:
+                image = _open_image(data)
+                height, width, mode = image.height, image.width, image.mode
+                pictures = getattr(image, "n_frames", 1)
+        except Exception as error:
+            raise _undecodable(data) from error
+        if pictures > 1:
+            raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
+        if mode in _DEEP_MODES:
+            raise ValueError(f"an image of 16 bits a colour ({mode}); expected 8")
+        if height * width > MAX_IMAGE_PIXELS:
             raise ValueError(
-                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
-            ) from error
-    # JPEGs have both in such a segment, and opening an image takes a while.
-    if is_upright and not (is_jpeg(data) and _APP1.search(data) is None):
-        _require_upright(data)
-    return size
+                f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
+            )
+        return height, width
 
+    def intact_size(self, *, is_upright: bool = False) -> tuple[int, int]:
+        """Return height and width of an image, after a check of its beginning and end.
 
-def doubtful_images(images: pa.Array) -> list[int]:
-    """Return the indices of those of some encoded images that :func:`intact_size` must judge.
+        With ``is_upright``, images that their Exif or XMP data ask readers to turn are refused.
 
-    The others are JPEGs with few scans and the mark of their end, and the header of one that it judges: a
-    camera writes one header, which takes most of the time.
-    """
-    offsets = np.frombuffer(images.buffers()[1], np.int32)[images.offset :][: len(images) + 1].astype(
-        np.int64
-    )
-    data = np.frombuffer(images.buffers()[2] or b"", np.uint8)
-    starts, ends = offsets[:-1], offsets[1:]
-    # As in `require_bounded_jpeg`, for all at once.
-    high, low = _SCAN_START.pattern
-    marks = offsets[0] + np.flatnonzero(data[offsets[0] : max(offsets[-1] - 1, 0)] == high)
-    marks = marks[data[marks + 1] == low]
-    first, last = np.searchsorted(marks, (starts, ends))
-    has_few_scans = (last > first) & (last - first <= MAX_SCANS)
-    judged = set[bytes]()
-    doubtful = []
-    for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        header = b""
-        if has_few_scans[index] and data[end - 2 : end].tobytes() == _JPEG_END:
-            scan = int(marks[first[index]]) + 2
-            header = data[start : scan + (int(data[scan]) << 8) + int(data[scan + 1])].tobytes()
-        if header not in judged:
-            doubtful.append(index)
-            if is_jpeg(header):
-                judged.add(header)
-    return doubtful
+        The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow
+        the mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises
+        ValueError for an image that is damaged or refused.
+        """
+        data = self.data
+        size = self.size()
+        if not self.is_jpeg:
+            decode_image(data)
+        elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
+            try:
+                decode_image(data)
+            except ValueError as error:
+                raise ValueError(
+                    f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+                ) from error
+        # JPEGs have both in such a segment, and opening an image takes a while.
+        if is_upright and not (self.is_jpeg and _APP1.search(data) is None):
+            _require_upright(data)
+        return size
+
+    def storable(self) -> tuple[bytes, str]:
+        """Return an image as data sets store it, and its format if that was converted.
+
+        A JPEG, PNG or WebP is returned as it is, and so is data of no known format; the format is empty then.
+        The pixels of others (BMP, GIF, PPM, TIFF, JPEG 2000, AVIF, and HEIF with the extra ``heic``) become a
+        PNG without loss. Raises ValueError for one of several pictures, of more than 8 bits a colour, of
+        colours that PNG does not have, that is not upright, too large or damaged.
+        """
+        data = bytes(self.data)
+        if self.is_jpeg or data.startswith((b"\x89PNG", b"RIFF")):
+            return data, ""
+        formats = [name for name in picture_formats() if name not in _NOT_CONVERTED]
+        if data[4:12] in _HEIF_STARTS and "HEIF" not in formats:
+            raise ValueError(f"an image in HEIF; {install_line('heic')}, or store it as PNG")
+        try:
+            with Image.open(io.BytesIO(data), formats=formats) as image:
+                problem = _problem_of_conversion(image, data)
+                if not problem:
+                    return encode_png(image), str(image.format)
+        except UnidentifiedImageError:
+            return data, ""
+        except Exception as error:
+            raise _undecodable(data) from error
+        raise ValueError(problem)
+
+    def require_bounded(self) -> None:
+        """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
+        # A touch of 64 x 64 pixels takes 1 kB; the search would add a tenth to its time.
+        if len(self.data) <= _SMALL_BYTES:
+            return
+        # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
+        # A regular expression takes half of the time of `bytes.count`.
+        starts = [match.start() for match in _SCAN_START.finditer(self.data)]
+        scans = len(starts)
+        header = (starts or [-1])[0]
+        if scans > MAX_SCANS:
+            raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
+        if header > MAX_HEADER_BYTES:
+            raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
+
+    @staticmethod
+    def doubtful(images: pa.Array) -> list[int]:
+        """Return the indices of those of some encoded images that :meth:`intact_size` must judge.
+
+        The others are JPEGs with few scans and the mark of their end, and the header of one that it judges: a
+        camera writes one header, which takes most of the time.
+        """
+        offsets = np.frombuffer(images.buffers()[1], np.int32)[images.offset :][: len(images) + 1].astype(
+            np.int64
+        )
+        data = np.frombuffer(images.buffers()[2] or b"", np.uint8)
+        starts, ends = offsets[:-1], offsets[1:]
+        # As in `require_bounded`, for all at once.
+        high, low = _SCAN_START.pattern
+        marks = offsets[0] + np.flatnonzero(data[offsets[0] : max(offsets[-1] - 1, 0)] == high)
+        marks = marks[data[marks + 1] == low]
+        first, last = np.searchsorted(marks, (starts, ends))
+        has_few_scans = (last > first) & (last - first <= MAX_SCANS)
+        judged = set[bytes]()
+        doubtful = []
+        for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+            header = b""
+            if has_few_scans[index] and data[end - 2 : end].tobytes() == _JPEG_END:
+                scan = int(marks[first[index]]) + 2
+                header = data[start : scan + (int(data[scan]) << 8) + int(data[scan + 1])].tobytes()
+            if header not in judged:
+                doubtful.append(index)
+                if EncodedImage(header).is_jpeg:
+                    judged.add(header)
+        return doubtful
 
 
 def _require_upright(data: bytes | memoryview) -> None:
@@ -201,31 +251,6 @@ def _require_upright(data: bytes | memoryview) -> None:
         orientation = image.getexif().get(_ORIENTATION)
     if orientation in _TURNED:
         raise ValueError(_TURNED_BY_READERS)
-
-
-def storable_image(data: bytes) -> tuple[bytes, str]:
-    """Return an image as data sets store it, and its format if that was converted.
-
-    A JPEG, PNG or WebP is returned as it is, and so is data of no known format; the format is empty then.
-    The pixels of others (BMP, GIF, PPM, TIFF, JPEG 2000, AVIF, and HEIF with the extra ``heic``) become a PNG
-    without loss. Raises ValueError for one of several pictures, of more than 8 bits a colour, of colours that
-    PNG does not have, that is not upright, too large or damaged.
-    """
-    if is_jpeg(data) or data.startswith((b"\x89PNG", b"RIFF")):
-        return data, ""
-    formats = [name for name in picture_formats() if name not in _NOT_CONVERTED]
-    if data[4:12] in _HEIF_STARTS and "HEIF" not in formats:
-        raise ValueError(f"an image in HEIF; {install_line('heic')}, or store it as PNG")
-    try:
-        with Image.open(io.BytesIO(data), formats=formats) as image:
-            problem = _problem_of_conversion(image, data)
-            if not problem:
-                return encode_png(image), str(image.format)
-    except UnidentifiedImageError:
-        return data, ""
-    except Exception as error:
-        raise _undecodable(data) from error
-    raise ValueError(problem)
 
 
 def _problem_of_conversion(image: Image.Image, data: bytes) -> str:
@@ -249,45 +274,28 @@ def _problem_of_conversion(image: Image.Image, data: bytes) -> str:
     return ""
 
 
-def require_bounded_jpeg(data: memoryview | bytes) -> None:
-    """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
-    if (
-        len(data) <= _SMALL_BYTES
-    ):  # a touch of 64 x 64 pixels takes 1 kB; the search would add a tenth to its time
-        return
-    # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
-    # A regular expression takes half of the time of `bytes.count`.
-    starts = [match.start() for match in _SCAN_START.finditer(data)]
-    scans = len(starts)
-    header = (starts or [-1])[0]
-    if scans > MAX_SCANS:
-        raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
-    if header > MAX_HEADER_BYTES:
-        raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
-
-
 def decode_image(data: memoryview | bytes, out: UInt8 | None = None, *, least_px: int = 0) -> UInt8:
     """Decode a JPEG, PNG or WebP to RGB, shape (H, W, 3), uint8; into ``out`` (contiguous) if given.
 
     With ``least_px``, a JPEG is decoded at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least
     ``least_px`` pixels, in half of the time: each pixel is the mean of those it replaces. Raises ValueError
-    as :func:`image_size` does, and when the data is truncated, corrupt or of another size than ``out``. A
-    partly decoded image is never returned.
+    as :meth:`EncodedImage.size` does, and when the data is truncated, corrupt or of another size than
+    ``out``. A partly decoded image is never returned.
     """
-    if out is not None and is_jpeg(data):
-        require_bounded_jpeg(data)
+    if out is not None and EncodedImage(data).is_jpeg:
+        EncodedImage(data).require_bounded()
         # Errors are named below: reading the header of every image first would be slow.
         with suppress(ValueError):
             if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
                 return out
-    height, width = image_size(data)
+    height, width = EncodedImage(data).size()
     if out is not None and out.shape != (height, width, 3):
         raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
     pixels: UInt8
     try:
-        if is_jpeg(data):
+        if EncodedImage(data).is_jpeg:
             pixels = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px, buffer=out)
         else:
             pixels = np.array(_open_image(data).convert("RGB"))  # writable, as a JPEG is

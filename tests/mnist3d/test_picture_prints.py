@@ -17,7 +17,7 @@ import mnist3d
 from mnist3d.ink.binarisation import join_bodies, stroke_width_px, thinnest_stroke_px
 from mnist3d.sources import SyntheticSource
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import Mesh, check_manifold, inspect, with_flat_underside
+from tactile_toolkit.mesh import Mesh, PrintReport, check_manifold, with_flat_underside
 from tactile_toolkit.mesh.printability import WARNINGS
 from tests.command_line import call
 from tests.mnist3d.drawn_pictures import child, house, pieces, size_mm, word
@@ -57,7 +57,7 @@ def test_the_solid_is_as_large_as_was_asked(draw, size, axis, length_mm):
     if draw is child and "pixel_mm" in size:
         length_mm = 98.2
     mesh = mnist3d.solidify(draw(), **size)
-    assert inspect(mesh).is_solid
+    assert PrintReport.of(mesh).is_solid
     # Pixels of paper beside the ink do not count; lengths are those of the solid.
     assert size_mm(mesh)[axis] == pytest.approx(length_mm, abs=0.3 if "pixel_mm" in size else 1e-3)
     if "pixel_mm" not in size:
@@ -131,7 +131,7 @@ def test_bridges_are_as_wide_as_the_strokes(width: int) -> None:
 def test_a_base_plate_joins_the_parts_and_lies_flat() -> None:
     plain = mnist3d.solidify(word(), mnist3d.SolidSpec(), width_mm=90)
     on_plate = mnist3d.solidify(word(), mnist3d.SolidSpec(), width_mm=90, base_mm=2)
-    before, after = inspect(plain), inspect(on_plate)
+    before, after = PrintReport.of(plain), PrintReport.of(on_plate)
     assert (before.bodies, after.bodies, after.is_solid) == (5, 1, True)
     assert "separate-bodies" in before.warnings
     assert not {"separate-bodies", "small-contact", "overhang"} & set(after.warnings)
@@ -161,7 +161,9 @@ def test_all_parts_of_a_drawing_stand_on_the_plate(
     triangles = len(mnist3d.read_mesh(out).faces)
     assert triangles < 60_000
     assert f"it has {triangles:,} triangles, which slow slicers down; --vert" in capsys.readouterr().out
-    assert not {"overhang", "small-contact", "floating-part"} & set(inspect(mnist3d.read_mesh(out)).warnings)
+    assert not {"overhang", "small-contact", "floating-part"} & set(
+        PrintReport.of(mnist3d.read_mesh(out)).warnings
+    )
     assert call("mnist3d", "validate", out) == 0
     assert "--" not in capsys.readouterr().out.replace("---", "")
 
@@ -203,7 +205,7 @@ def test_a_folder_of_pictures_makes_a_file_each_and_names_what_failed(tmp_path: 
     assert [each["problem"] for each in document["failed"]] == ["no-ink"]
     assert "failed: empty: " in printed.err
     for each in document["files"]:
-        report = inspect(mnist3d.read_mesh(out / each["file"]))
+        report = PrintReport.of(mnist3d.read_mesh(out / each["file"]))
         assert report.volume_mm3 == pytest.approx(each["volume_mm3"], rel=1e-5)
         with Image.open(out / each["file"].replace(".3mf", "-preview.png")) as preview:
             assert preview.size[0] > 1000
@@ -230,7 +232,7 @@ def test_each_warning_has_a_measured_value_and_a_next_step(tmp_path: Path, capsy
         == 0
     )
     assert "the drawing is 51.1 x 40.0 mm, and its base plate is larger" in capsys.readouterr().out
-    found = inspect(mnist3d.read_mesh(out))
+    found = PrintReport.of(mnist3d.read_mesh(out))
     assert (found.bodies, found.warnings) == (1, ())
     assert found.size_mm[1:] == pytest.approx((46, 5), abs=0.3)
 
@@ -273,7 +275,7 @@ def test_no_picture_and_no_other_file_is_replaced(tmp_path: Path, capsys: Any) -
     names = [tmp_path / "a[1].png", tmp_path / "a*.png"]
     assert call("mnist3d", "solidify", *names, "--out", tmp_path, "--overwrite") == 1
     assert (tmp_path / "a1.stl").read_bytes() == b"another"
-    assert inspect(mnist3d.read_mesh(tmp_path / "a[1].stl")).is_solid
+    assert PrintReport.of(mnist3d.read_mesh(tmp_path / "a[1].stl")).is_solid
     assert ((tmp_path / "a[1].png").read_bytes(), preview.read_bytes()) == before
 
 
@@ -308,7 +310,7 @@ def test_walls_need_two_lines_of_the_nozzle() -> None:
 def test_a_wider_nozzle_finds_thinner_walls(tmp_path: Path, capsys: Any) -> None:
     wall = mnist3d.solidify(word(8), mnist3d.SolidSpec(profile="flat"), pixel_mm=0.2)
     mnist3d.write_mesh(tmp_path / "wall.stl", wall)
-    width = inspect(wall).thinnest_wall_mm
+    width = PrintReport.of(wall).thinnest_wall_mm
     for nozzle_mm, is_thin in ((width / 2 - 0.05, False), (width / 2 + 0.05, True)):
         assert call("mnist3d", "validate", tmp_path / "wall.stl", "--nozzle-mm", nozzle_mm) == 0
         assert ("thin-wall" in capsys.readouterr().out) is is_thin
@@ -317,5 +319,5 @@ def test_a_wider_nozzle_finds_thinner_walls(tmp_path: Path, capsys: Any) -> None
 def test_digits_with_a_small_first_layer_are_cured_by_a_plate(tmp_path: Path) -> None:
     source = SyntheticSource()
     digits = (mnist3d.solidify(source.image(number).pixels) for number in range(0, 1400, 70))
-    thin = islice((digit for digit in digits if "small-contact" in inspect(digit).warnings), 2)
-    assert [inspect(with_flat_underside(digit, 2.0)).warnings for digit in thin] == [(), ()]
+    thin = islice((digit for digit in digits if "small-contact" in PrintReport.of(digit).warnings), 2)
+    assert [PrintReport.of(with_flat_underside(digit, 2.0)).warnings for digit in thin] == [(), ()]

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, PrintProfile, PrintReport, inspect
+from tactile_toolkit.mesh import Mesh, PrintProfile, PrintReport
 from tactile_toolkit.mesh.printability import WARNINGS, section_area_mm2, thinnest_width_mm
 from tactile_toolkit.mesh.solid_check import PROBLEMS
 
@@ -44,7 +44,7 @@ def turned(mesh: Mesh) -> Mesh:
 
 
 def test_a_cube_in_numbers() -> None:
-    report = inspect(mesh_of(cube()))
+    report = PrintReport.of(mesh_of(cube()))
     assert (report.is_solid, report.status, report.problem) == (True, "NoError", None)
     assert (report.vertices, report.faces, report.bodies, report.genus) == (8, 12, 1, 0)
     assert report.volume_mm3 == pytest.approx(1000)
@@ -65,17 +65,17 @@ def test_overhang_begins_at_the_angle_of_the_profile(lean_deg: float) -> None:
     wedge = section.extrude(20).rotate((90, 0, 0))
     slope_mm2 = 20 * 10 / math.cos(math.radians(lean_deg))
     expected = slope_mm2 if lean_deg > 45 else 0
-    assert inspect(mesh_of(wedge)).overhang_mm2 == pytest.approx(expected)
+    assert PrintReport.of(mesh_of(wedge)).overhang_mm2 == pytest.approx(expected)
 
 
 def test_bodies_and_holes_are_counted_over_all_bodies() -> None:
     torus = manifold3d.CrossSection.circle(2, 32).translate((8, 0)).revolve(48)
     solid = manifold3d.Manifold.compose([torus, torus.translate((30, 0, 0)), cube(5, (50, 0, 0))])
-    report = inspect(mesh_of(solid))
+    report = PrintReport.of(mesh_of(solid))
     assert (report.is_solid, report.bodies, report.genus) == (True, 3, 2)
     for apart in (solid, manifold3d.Manifold.compose([cube(5), cube(5, (9, 0, 0))])):
-        assert "separate-bodies" in inspect(mesh_of(apart)).warnings
-    assert "separate-bodies" not in inspect(mesh_of(cube(5))).warnings
+        assert "separate-bodies" in PrintReport.of(mesh_of(apart)).warnings
+    assert "separate-bodies" not in PrintReport.of(mesh_of(cube(5))).warnings
 
 
 def test_a_body_loose_in_a_cavity_is_one_of_two() -> None:
@@ -84,7 +84,7 @@ def test_a_body_loose_in_a_cavity_is_one_of_two() -> None:
     rattle = pile(shell(), mesh_of(cube(6, (7, 7, 7))))
     nested = pile(shell(), mesh_of(ball), mesh_of(cube(1, (9.5, 9.5, 9.5))))
     for mesh, bodies, volume_mm3 in ((rattle, 2, 7216), (nested, 3, 7000 + 64 - 8 + 1)):
-        report = inspect(mesh)
+        report = PrintReport.of(mesh)
         assert (report.is_solid, report.bodies, report.status) == (True, bodies, "NoError")
         assert report.volume_mm3 == pytest.approx(volume_mm3)
 
@@ -101,7 +101,7 @@ def test_a_body_loose_in_a_cavity_is_one_of_two() -> None:
     ],
 )
 def test_each_limit_has_its_warning(size_mm: tuple[float, float, float], warning: str) -> None:
-    assert warning in inspect(mesh_of(manifold3d.Manifold.cube(size_mm))).warnings
+    assert warning in PrintReport.of(mesh_of(manifold3d.Manifold.cube(size_mm))).warnings
 
 
 # --- thinnest wall --------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ BROKEN = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_meshes_are_reported_by_name(name: str) -> None:
     mesh, problem = BROKEN[name]
-    report = inspect(mesh)
+    report = PrintReport.of(mesh)
     assert (report.is_solid, report.problem) == (False, problem)
     assert problem in PROBLEMS
     assert report.detail
@@ -239,7 +239,7 @@ def test_broken_meshes_are_reported_by_name(name: str) -> None:
 
 
 def test_the_message_about_a_hole_counts_its_edges() -> None:
-    assert "3 edges" in str(inspect(BROKEN["hole"][0]).detail)
+    assert "3 edges" in str(PrintReport.of(BROKEN["hole"][0]).detail)
 
 
 # --- rows -----------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ def test_the_message_about_a_hole_counts_its_edges() -> None:
 
 @pytest.mark.parametrize("mesh", [box(), BROKEN["hole"][0]], ids=["solid", "broken"])
 def test_a_row_has_the_columns_and_types_it_promises(mesh: Mesh) -> None:
-    row = inspect(mesh).to_row()
+    row = PrintReport.of(mesh).to_row()
     declared = PrintReport.columns()
     assert list(row) == list(declared)
     for name, column in declared.items():
@@ -255,7 +255,7 @@ def test_a_row_has_the_columns_and_types_it_promises(mesh: Mesh) -> None:
 
 
 def test_warnings_of_a_row_are_words() -> None:
-    row = inspect(mesh_of(manifold3d.Manifold.cube((300, 0.5, 300)))).to_row()
+    row = PrintReport.of(mesh_of(manifold3d.Manifold.cube((300, 0.5, 300)))).to_row()
     assert set(row["warnings"]) <= set(WARNINGS)
     assert len(row["warnings"]) >= 2
 

@@ -21,7 +21,7 @@ from mnist3d.digit_options import EROSIONS, PROFILES, SolidSpec
 from mnist3d.ink.binarisation import binarise, count_bodies_and_holes
 from mnist3d.solid.algorithm import literal_solid, solid_steps, solidify
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import inspect
+from tactile_toolkit.mesh import PrintReport
 from tests.mnist3d.drawings import (
     DIGITS,
     ROWS,
@@ -52,7 +52,7 @@ BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", m
 )
 def test_every_method_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
     mesh = solidify(six(), SolidSpec(profile=profile), method=method)
-    report = inspect(mesh)
+    report = PrintReport.of(mesh)
     assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
     assert mesh.vertices_m.dtype == np.float32
     assert mesh.faces.dtype == np.int32
@@ -133,7 +133,7 @@ def test_the_fast_solid_equals_the_literal_one(draw: Any, erosion: str, mean_mm:
     assert distances.mean() <= mean_mm
     assert np.percentile(distances, 99.9) <= 0.4
     assert fast.volume_m3 == pytest.approx(literal.volume_m3, rel=0.015)
-    for report in (inspect(fast), inspect(literal)):
+    for report in (PrintReport.of(fast), PrintReport.of(literal)):
         assert (report.bodies, report.genus) == count_bodies_and_holes(mask)
 
 
@@ -156,7 +156,7 @@ def test_a_small_image_is_resampled_or_refused_with_a_next_step() -> None:
     ) as refused:
         solidify(small, pixel_mm=0.2)
     assert refused.value.reason == "too-small"
-    report = inspect(solidify(small))
+    report = PrintReport.of(solidify(small))
     assert (report.problem, report.bodies) == (None, 1)
     assert report.size_mm == pytest.approx(size_mm(solidify(six())), rel=0.1)
 
@@ -188,7 +188,7 @@ def test_a_disc_of_ink_becomes_a_lens_of_known_volume() -> None:
     mesh = solidify(drawn(disc(60)), SolidSpec())
     assert volume_mm3(mesh) == pytest.approx(core + rim, rel=0.015)
     assert size_mm(mesh) == pytest.approx([24, 24, 8], abs=0.25)
-    assert inspect(mesh).genus == 0
+    assert PrintReport.of(mesh).genus == 0
     assert np.abs(mesh.center_mass_m - [0, 0, 0.004]).max() < 1e-4
 
 
@@ -202,7 +202,7 @@ def test_a_linear_bar_is_a_roof() -> None:
 
 
 def test_a_ring_has_one_hole_and_the_wall_of_its_ink() -> None:
-    report = inspect(solidify(ring(), SolidSpec()))
+    report = PrintReport.of(solidify(ring(), SolidSpec()))
     assert (report.bodies, report.genus) == (1, 1)
     assert report.thinnest_wall_mm == pytest.approx(6.0, abs=0.2)
 
@@ -211,7 +211,7 @@ def test_ink_at_the_border_is_closed() -> None:
     mask = np.zeros((500, 500), bool)
     mask[:, 230:270] = True
     mesh = solidify(drawn(mask), SolidSpec())
-    assert inspect(mesh).is_solid
+    assert PrintReport.of(mesh).is_solid
     assert size_mm(mesh)[1] == pytest.approx(100, abs=0.3)
 
 
@@ -238,7 +238,7 @@ def test_the_fast_way_keeps_necks_as_wide_as_the_literal_one(width_mm: float, an
         literal_solid(binarise(pixels, spec), spec, decimated=False),
     )
     assert neck_mm(fast, angle_deg) == pytest.approx(neck_mm(literal, angle_deg), abs=0.1)
-    assert inspect(fast).is_solid
+    assert PrintReport.of(fast).is_solid
 
 
 def test_a_whisker_is_as_long_as_it_was_drawn() -> None:
@@ -254,7 +254,7 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
     spec = SolidSpec()
     pixels = spiral(30, gap_px, turns)
     mesh = solidify(pixels, spec)
-    report = inspect(mesh)
+    report = PrintReport.of(mesh)
     assert len(mesh.vertices_m) <= 1.5 * spec.target_vertices
     assert (report.problem, report.bodies, report.genus) == (
         None,
@@ -269,7 +269,7 @@ def test_nodes_that_touch_at_a_corner_are_joined_by_others() -> None:
     # Ink on two nodes across a slanting gap, paper on the other two: the surface joins the ink.
     with Image.open(DIGITS / "0040_label0_writer6.png") as image:
         lattice, _, surface, mesh = solid_steps(binarise(np.asarray(image), SolidSpec()), SolidSpec())
-    report = inspect(mesh)
+    report = PrintReport.of(mesh)
     assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
     assert len(lattice.rows_px) < 80
     # Not decimated: the upper half and its mirror image.
@@ -305,7 +305,7 @@ def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
     for row, column in np.ndindex(7, 12):
         mask &= np.hypot(rows - 75 - 25 * row, columns - 72 - 19.5 * column) > 5
     try:
-        report = inspect(solidify(drawn(mask), SolidSpec(), method=method, ink="dark"))
+        report = PrintReport.of(solidify(drawn(mask), SolidSpec(), method=method, ink="dark"))
         counts = report.bodies, report.genus
     except ItemError as error:
         counts = (1, 84) if error.reason in ("topology", "vertex-budget") else None
@@ -356,7 +356,7 @@ def test_any_ink_gives_a_solid_or_a_named_refusal(kind, seed, side, profile, spe
     if reason is not None:
         assert reason in ("no-ink", "vertex-budget")
         return
-    report = inspect(mesh)
+    report = PrintReport.of(mesh)
     assert report.problem is None, report.detail
     assert (report.bodies, report.genus) == count_bodies_and_holes(binarise(pixels, spec))
 

@@ -24,7 +24,7 @@ from mnist3d.solid.algorithm import (
     solidify,
 )
 from mnist3d.solid.lattice import lattice_of
-from tactile_toolkit.mesh import Mesh, inspect
+from tactile_toolkit.mesh import Mesh, PrintReport
 from tests.mnist3d.drawings import six
 
 
@@ -93,7 +93,7 @@ def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:
     spec = SolidSpec()
     fine = solidify(six(), spec)
     coarse = decimate(fine, 3000)
-    report = inspect(coarse)
+    report = PrintReport.of(coarse)
     assert 1500 < len(coarse.vertices_m) <= 1.5 * 3000
     assert (report.is_solid, report.bodies, report.genus) == (True, 1, 1)
     assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.03)

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.touch import decode_image, doubtful_images, encode_image, image_size, intact_size
+from tactile_toolkit.touch import EncodedImage, decode_image, encode_image
 from tests.jpegs import jpeg_of_scans
 from tests.mutations import mutated
 from tests.realtouch.factories import encode_jpeg, encoded
@@ -35,7 +35,7 @@ def test_pixels_equal_those_of_pillow(height: int, width: int, quality: int, sam
     out = np.zeros((height, width, 3), np.uint8)
     assert decode_image(memoryview(data), out) is out
     np.testing.assert_array_equal(out, pillow(data))
-    assert image_size(data) == (height, width)
+    assert EncodedImage(data).size() == (height, width)
 
 
 def test_grey_and_progressive_jpegs_are_rgb() -> None:
@@ -109,12 +109,12 @@ def test_images_without_a_closer_look_are_whole() -> None:
     changed = [mutated(second, seed) for seed in range(400)]
     images = [first, second, *cut, *strange, *changed, second, first]
     for start in (0, 1, 5):  # Arrow passes slices on
-        judged = doubtful_images(pa.array([b"before", *images], pa.binary()).slice(start + 1))
+        judged = EncodedImage.doubtful(pa.array([b"before", *images], pa.binary()).slice(start + 1))
         damaged = range(2, 2 + len(cut) + len(strange))
         assert {number - start for number in damaged if number >= start} <= {*judged}
         assert {len(images) - start - 2, len(images) - start - 1}.isdisjoint(judged)
         for number in {*range(len(images) - start)} - {*judged}:
-            intact_size(images[start + number])
+            EncodedImage(images[start + number]).intact_size()
 
 
 def test_other_bytes_are_named() -> None:
@@ -147,5 +147,5 @@ def test_fill_bytes_before_a_marker_are_skipped(count: int) -> None:
     frame = data.index(b"\xff\xc0")
     for place in (2, frame):
         filled = data[:place] + b"\xff" * count + data[place:]
-        assert image_size(filled) == PICTURES.shape[:2]
+        assert EncodedImage(filled).size() == PICTURES.shape[:2]
         np.testing.assert_array_equal(decode_image(filled), decode_image(data))

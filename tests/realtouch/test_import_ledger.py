@@ -12,7 +12,7 @@ from PIL import Image
 import realtouch
 from realtouch.importing import import_plan, import_preview
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import images, intact_size, storable_image
+from tactile_toolkit.touch import EncodedImage, images
 from tests.mutations import mutated
 from tests.realtouch import factories
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
@@ -95,7 +95,7 @@ def test_any_damage_of_a_picture_gives_a_picture_or_a_message(kind: str, options
     whole, refused = encoded(kind, **options), 0
     for seed in range(500):
         try:
-            intact_size(storable_image(mutated(whole, seed))[0])
+            EncodedImage(EncodedImage(mutated(whole, seed)).storable()[0]).intact_size()
         except ValueError:
             refused += 1
     assert 0 < refused < 500

@@ -7,13 +7,13 @@ from pathlib import Path
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, inspect, read_mesh
+from tactile_toolkit.mesh import Mesh, PrintReport, read_mesh
 
 
 def outcome_of(path: Path, unit: str | None = None) -> float | str:
     """Return the volume of a solid, mm³, or why there is none."""
     try:
-        report = inspect(read_mesh(path, unit=unit))
+        report = PrintReport.of(read_mesh(path, unit=unit))
     except InputError as error:
         return str(error)
     return report.volume_mm3 if report.is_solid else f"{report.problem}: {report.detail}"

@@ -17,7 +17,7 @@ from hypothesis import assume, given, settings, strategies as st
 from mnist3d.digit_options import SolidSpec
 from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh import Mesh, crossings, inspect
+from tactile_toolkit.mesh import Mesh, PrintReport, crossings
 from tactile_toolkit.mesh.crossings import self_crossing
 
 Surface = tuple[np.ndarray, np.ndarray]
@@ -29,7 +29,7 @@ def surface_of(solid: Any) -> Surface:
 
 
 def report_of(surface: Surface) -> Any:
-    return inspect(Mesh(surface[0] / 1000, surface[1].astype(np.int32)))
+    return PrintReport.of(Mesh(surface[0] / 1000, surface[1].astype(np.int32)))
 
 
 def tube(curve: Callable[[np.ndarray], np.ndarray], radius: float, along: int, around: int) -> Surface:

@@ -18,7 +18,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshFile, inspect, read_mesh
+from tactile_toolkit.mesh import Mesh, MeshFile, PrintReport, read_mesh
 from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.mesh.plain_formats import cut_polygons
 from tests.real_input import SHARED
@@ -332,7 +332,7 @@ def test_separated_corners_are_welded_and_counted(ending: str, tmp_path: Path) -
         path = tmp_path / f"ball{ending}"
         path.write_bytes(pack_mesh(Mesh(moved, np.arange(len(apart), dtype=np.int32).reshape(-1, 3)), ending))
         mesh = read_mesh(path)
-        report = inspect(mesh)
+        report = PrintReport.of(mesh)
         assert report.is_solid == closes
         if closes:
             assert report.notes == (f"{len(np.unique(moved, axis=0)) - len(ball.vertices):,} corners welded",)
@@ -348,7 +348,7 @@ def test_a_corner_far_away_does_not_weld_the_others(tmp_path: Path) -> None:
     path.write_text(CUBE_STL.replace("vertex 10", "vertex 1e9", 1))
     mesh = read_mesh(path, unit="mm")
     assert (len(mesh.faces), mesh.notes) == (12, ())
-    assert not inspect(mesh).is_solid
+    assert not PrintReport.of(mesh).is_solid
 
 
 def test_open_surfaces_are_unchanged() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshFile, inspect, read_mesh, write_mesh
+from tactile_toolkit.mesh import Mesh, MeshFile, PrintReport, read_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import merge_equal_vertices
 
 
@@ -27,8 +27,8 @@ def test_a_file_holds_the_solid_that_was_written(ending: str, ring: Mesh, tmp_pa
     path = tmp_path / f"ring{ending}"
     write_mesh(path, ring)
     back = read_mesh(path)
-    assert inspect(back).problem is None
-    assert (inspect(back).bodies, inspect(back).genus) == (1, 1)
+    assert PrintReport.of(back).problem is None
+    assert (PrintReport.of(back).bodies, PrintReport.of(back).genus) == (1, 1)
     assert len(back.vertices_m) == len(ring.vertices_m)
     assert back.faces.shape == ring.faces.shape
     assert np.allclose(back.bounds_m, ring.bounds_m, rtol=0, atol=1e-8)
@@ -67,7 +67,7 @@ def test_a_file_cut_short_is_refused_or_seen_to_be_open(ending, share, ring, tmp
     except InputError:
         return
     # A text file such as OBJ does not state its length.
-    assert not inspect(mesh).is_solid
+    assert not PrintReport.of(mesh).is_solid
 
 
 def test_missing_files_folders_and_unknown_endings_are_refused(ring: Mesh, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_the_name_of_a_binary_file_may_begin_as_a_text_does(ring: Mesh, tmp_path
     write_mesh(tmp_path / "a.stl", ring)
     data = (tmp_path / "a.stl").read_bytes()
     (tmp_path / "a.stl").write_bytes(b"solid facet".ljust(80) + data[80:])
-    assert inspect(read_mesh(tmp_path / "a.stl")).is_solid
+    assert PrintReport.of(read_mesh(tmp_path / "a.stl")).is_solid
 
 
 def test_meshes_of_trimesh_and_records_are_accepted(ring: Mesh, tmp_path: Path) -> None:
@@ -119,12 +119,12 @@ def test_meshes_of_trimesh_and_records_are_accepted(ring: Mesh, tmp_path: Path) 
 
     for number, thing in enumerate((ring, ring.to_trimesh(), Record())):
         write_mesh(tmp_path / f"{number}.stl", thing)  # type: ignore[arg-type]
-        assert inspect(thing).volume_mm3 == pytest.approx(inspect(ring).volume_mm3)  # type: ignore[arg-type]
+        assert PrintReport.of(thing).volume_mm3 == pytest.approx(PrintReport.of(ring).volume_mm3)  # type: ignore[arg-type]
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
     back = Mesh.from_trimesh(ring.to_trimesh())
     assert (back.faces.dtype, back.vertices_m.dtype) == (np.int32, np.float64)
     for bad in (None, "a.stl", ring.vertices_m):
         with pytest.raises(InputError, match="holds no triangles"):
-            inspect(bad)  # type: ignore[arg-type]
+            PrintReport.of(bad)  # type: ignore[arg-type]
         with pytest.raises(InputError, match="holds no triangles"):
             write_mesh(tmp_path / "bad.stl", bad)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import inspect, read_mesh
+from tactile_toolkit.mesh import PrintReport, read_mesh
 from tests.processes import PATIENCE_S
 from tests.real_input import SHARED
 from tests.tactile_toolkit.mesh.solid_files import cube
@@ -97,7 +97,7 @@ def test_volumes_and_sizes_are_those_of_prusaslicer(tmp_path: Path) -> None:
     assert parts[::2] == [path.name for path in paths]
     for path, block in zip(paths, parts[1::2], strict=True):
         said = dict(re.findall(r"^(\w+) = +(\S+)", block, re.MULTILINE))
-        report = inspect(read_mesh(path))
+        report = PrintReport.of(read_mesh(path))
         assert (path.name, said["manifold"], report.is_solid) == (path.name, "yes", True)
         assert report.volume_mm3 == pytest.approx(float(said["volume"]), rel=1e-6), path.name
         assert report.size_mm == pytest.approx([float(said[f"size_{axis}"]) for axis in "xyz"], abs=1e-5)

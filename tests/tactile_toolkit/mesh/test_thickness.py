@@ -14,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 from PIL import Image, ImageDraw
 
 from mnist3d.solid.algorithm import solidify
-from tactile_toolkit.mesh import Mesh, PrintReport, inspect
+from tactile_toolkit.mesh import Mesh, PrintReport
 from tactile_toolkit.mesh.walls import thinnest_wall_mm
 
 Solid = manifold3d.Manifold
@@ -24,7 +24,7 @@ ANGLES = st.floats(0, 360)
 def report_of(solid: Any) -> PrintReport:
     arrays = solid.to_mesh64()
     vertices_m = np.array(arrays.vert_properties)[:, :3] / 1000
-    return inspect(Mesh(vertices_m.astype(np.float32), np.array(arrays.tri_verts).astype(np.int32)))
+    return PrintReport.of(Mesh(vertices_m.astype(np.float32), np.array(arrays.tri_verts).astype(np.int32)))
 
 
 def require_wall(solid: Any, wall_mm: float) -> None:
@@ -139,7 +139,7 @@ def test_a_thin_stroke_of_a_digit_is_found(ink_px: int, angle: float) -> None:
     mesh = solidify(np.asarray(picture), pixel_mm=0.2)
     vertices_mm = mesh.vertices_m.astype(float) * 1000
     whole = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), 2.5)
-    assert inspect(mesh).thinnest_wall_mm == whole < 2.5
+    assert PrintReport.of(mesh).thinnest_wall_mm == whole < 2.5
 
 
 @pytest.mark.parametrize("wall", [0.495, 1.5])
@@ -172,6 +172,6 @@ def test_walls_depend_neither_on_place_nor_on_order(seed: int, ink_px: int) -> N
     draw.line([(80, 90), (250, 130), (150, 280)], fill=0, width=ink_px)
     draw.ellipse((200, 80, 290, 190), fill=0)
     mesh = solidify(np.asarray(picture))
-    report, other = inspect(mesh), inspect(shuffled(mesh, seed))
+    report, other = PrintReport.of(mesh), PrintReport.of(shuffled(mesh, seed))
     assert (report.thinnest_wall_mm < 2.5) == (ink_px == 8)
     assert other.thinnest_wall_mm == pytest.approx(report.thinnest_wall_mm, rel=1e-4)

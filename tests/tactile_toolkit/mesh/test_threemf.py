@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, inspect, read_mesh
+from tactile_toolkit.mesh import Mesh, PrintReport, read_mesh
 from tactile_toolkit.mesh.files import unpack_mesh
 from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of
 
@@ -66,11 +66,11 @@ def test_volumes_of_prusaslicer_that_are_not_the_object(kind: str, tmp_path: Pat
     if kind == "1":  # of old releases
         files = prusa('<metadata type="volume" key="modifier" value="1"/>')
     mesh = read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **files))
-    assert inspect(mesh).volume_mm3 == pytest.approx(8000)
+    assert PrintReport.of(mesh).volume_mm3 == pytest.approx(8000)
     assert np.ptp(mesh.bounds_m, axis=0) == pytest.approx([0.02] * 3)
     assert mesh.notes[0].startswith("left out: 1 volume of kind ")
     whole = read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **volume_type("ModelPart")))
-    assert (inspect(whole).bodies, whole.notes) == (2, ())
+    assert (PrintReport.of(whole).bodies, whole.notes) == (2, ())
     with pytest.raises(InputError, match="has a negative volume"):
         read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **volume_type("NegativeVolume")))
 
@@ -107,13 +107,13 @@ def test_objects_of_other_types_are_left_out(kind: str, tmp_path: Path) -> None:
         f'<object id="1">{mesh_xml(cube())}</object><object id="2" type="{kind}">{mesh_xml(BESIDE)}</object>'
     )
     mesh = read_mesh(package(tmp_path / "a.3mf", two, f'{ITEM}<item objectid="2"/>'))
-    assert inspect(mesh).volume_mm3 == pytest.approx(8000)
+    assert PrintReport.of(mesh).volume_mm3 == pytest.approx(8000)
     assert mesh.notes == (f"left out: 1 object of type {kind!r}",)
     with pytest.raises(InputError, match="holds nothing to build"):
         read_mesh(package(tmp_path / "a.3mf", two, '<item objectid="2"/>'))
     twice = read_mesh(package(tmp_path / "a.3mf", two, f'{ITEM}<item objectid="1" printable="0"/>'))
     assert twice.notes == ("left out: 1 object not to be printed",)
-    assert inspect(twice).bodies == 1
+    assert PrintReport.of(twice).bodies == 1
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_components_and_items_are_placed(tmp_path: Path) -> None:
     )
     item = '<item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 7"/>'
     mesh = read_mesh(package(tmp_path / "pair.3mf", TETRAHEDRON + pair, item))
-    report = inspect(mesh)
+    report = PrintReport.of(mesh)
     assert (report.is_solid, report.bodies) == (True, 2)
     assert report.volume_mm3 == pytest.approx(2 * 8 / 6)
     assert mesh.bounds_m * 1000 == pytest.approx(np.array([[-12, 0, 7], [2, 2, 9]]))
@@ -218,7 +218,7 @@ def test_objects_in_models_of_their_own_are_found(tmp_path: Path) -> None:
     component = '<component p:path="/3D/Objects/a.model" objectid="1" transform="1 0 0 0 1 0 0 0 1 0 5 0"/>'
     found = read_mesh(with_parts(tmp_path / "a.3mf", component, a="millimeter", b="inch"))
     assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [12, 7, 2]]))
-    assert inspect(found).is_solid
+    assert PrintReport.of(found).is_solid
 
 
 A_MODEL = 'p:path="/3D/Objects/a.model"'

@@ -18,7 +18,7 @@ from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read import Shard, ShardedTable
 from tactile_toolkit.read.shard import BLOCKS, map_block, write_block
-from tactile_toolkit.store import ParquetStyle, encode_parquet, open_folder
+from tactile_toolkit.store import ParquetStyle, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 
@@ -39,7 +39,7 @@ def rows(seed: int = 0) -> pa.Table:
 def shard_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     file = tmp_path / NAME
-    file.write_bytes(encode_parquet(rows(), STYLE))
+    file.write_bytes(STYLE.encode(rows()))
     return file
 
 
@@ -171,7 +171,7 @@ def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
 
 def replace_rows(file: Path) -> None:
     new_file = file.with_name("new")
-    new_file.write_bytes(encode_parquet(rows(1), STYLE))
+    new_file.write_bytes(STYLE.encode(rows(1)))
     new_file.replace(file)
 
 
@@ -219,7 +219,7 @@ def test_a_remote_file_replaced_under_an_open_set_is_refused(shard_file: Path) -
     store.pipe_file(f"/replaced/{NAME}", shard_file.read_bytes())
     table = ShardedTable((Shard(address),))
     table.locate(0)
-    store.pipe_file(f"/replaced/{NAME}", encode_parquet(rows(1), STYLE))
+    store.pipe_file(f"/replaced/{NAME}", STYLE.encode(rows(1)))
     with pytest.raises(IntegrityError, match="replaced or changed"):
         table.locate(59)
     assert ShardedTable((Shard(address),)).locate(59)[1] == 19

@@ -13,7 +13,6 @@ import pytest
 
 from tactile_toolkit.store.parquet import (
     ParquetStyle,
-    encode_parquet,
     open_checked,
     stream_parquet,
 )
@@ -57,7 +56,7 @@ def test_columns_of_any_nesting_have_the_requested_encoding() -> None:
         ("images.list.element.bytes", "PLAIN"),
         ("info.notes", "DELTA_BYTE_ARRAY"),
     )
-    content = encode_parquet(table(23), ParquetStyle(rows_per_group=50, encodings=encodings))
+    content = ParquetStyle(rows_per_group=50, encodings=encodings).encode(table(23))
     group = pq.ParquetFile(io.BytesIO(content)).metadata.row_group(0)
     columns = {group.column(index).path_in_schema: group.column(index) for index in range(group.num_columns)}
     for path, encoding in encodings:
@@ -74,7 +73,7 @@ def test_tables_one_after_another_are_the_bytes_of_all_at_once(sizes):
     tables = [table(size) for size in sizes]
     stream = io.BytesIO()
     checksum = stream_parquet(stream, iter(tables), ParquetStyle(rows_per_group=3))
-    whole = encode_parquet(pa.concat_tables(tables), ParquetStyle(rows_per_group=3))
+    whole = ParquetStyle(rows_per_group=3).encode(pa.concat_tables(tables))
     assert (stream.getvalue(), checksum) == (whole, hashlib.sha256(whole).hexdigest())
 
 
@@ -94,7 +93,7 @@ def test_of_tables_one_after_another_no_more_than_a_row_group_is_held():
 @pytest.mark.parametrize("size", [1_000, 200_000])
 def test_a_changed_footer_of_any_length_is_found(size):
     notes = pa.schema([("id", pa.int64())], metadata={"notes": "a" * size})
-    content = encode_parquet(pa.table({"id": [1]}, schema=notes), ParquetStyle(rows_per_group=3))
+    content = ParquetStyle(rows_per_group=3).encode(pa.table({"id": [1]}, schema=notes))
     assert open_checked(io.BytesIO(content)).schema_arrow.metadata == {b"notes": b"a" * size}
     changed = content.replace(b"aaaa", b"abaa", 1)  # which Parquet itself ignores
     with pytest.raises(pa.ArrowInvalid, match="the footer does not match its checksum"):
@@ -113,7 +112,7 @@ def test_a_changed_row_leaves_the_pages_after_it_as_they_were():
     style = ParquetStyle(40, encodings=(("images.list.element", "PLAIN"),), values_per_page=4)
 
     def stored(table: list, style: ParquetStyle) -> bytes:
-        content = encode_parquet(pa.table({"images": pa.array(table, pa.list_(pa.binary()))}), style)
+        content = style.encode(pa.table({"images": pa.array(table, pa.list_(pa.binary()))}))
         assert pq.read_table(io.BytesIO(content))["images"].to_pylist() == table
         return content
 

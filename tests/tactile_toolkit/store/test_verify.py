@@ -11,7 +11,6 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import build, open_folder, verify
-from tactile_toolkit.store.parquet import encode_parquet
 from tactile_toolkit.store.verification import DownloadRecord, HubFile, write_download_record
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
@@ -56,7 +55,7 @@ def test_strange_files_of_an_unfinished_set_are_not_named(folder):
 def rewritten(folder, path, change):
     """Replace a shard by another table, whose checksum is in the manifest."""
     table = change(pq.read_table(folder.address(path)))
-    folder.write_bytes(path, encode_parquet(table, STYLE))
+    folder.write_bytes(path, STYLE.encode(table))
 
     def vouch(values):
         (record,) = (each for each in values["shards"] if each["file"] == path)
