@@ -241,13 +241,19 @@ class ResizeMedia:
         """Resize the images or clips of a row; pictures that have the size are copied."""
         flat = schema.flat_row(row)
         kind = row.kind
+        wanted = (self.height, self.width)
+        blobs: list[bytes | memoryview]
         if kind == "single":
             images = media.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
-            blobs = [self._image(images, touch) for touch in range(len(images))]
+            blobs = [
+                images.encoded(number) if size == wanted else self._encode(images[number])
+                for number, size in enumerate(sizes)
+            ]
         else:
-            sizes = [clip.size for clip in media.SensorClips(row)]
-            blobs = [self._clip(clip) for clip in media.SensorClips(row)]
+            clips = list(media.SensorClips(row))
+            sizes = [clip.size for clip in clips]
+            blobs = [clip.data if clip.size == wanted else self._clip(clip) for clip in clips]
         made = {row.media_column: media.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
             maps = [media.encode_map(self._map(depth_map)) for depth_map in media.DepthMaps(row, name)]
@@ -278,17 +284,9 @@ class ResizeMedia:
         method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
         return np.asarray(Image.fromarray(depth_m).resize((self.width, self.height), method))
 
-    def _image(self, images: media.SensorImages, touch: int) -> bytes | memoryview:
-        if images.size(touch) == (self.height, self.width):
-            return images.encoded(touch)
-        return self._encode(images[touch])
-
-    def _clip(self, clip: media.TouchClip) -> bytes | memoryview:
-        if clip.size == (self.height, self.width):
-            return clip.data
-        return avi.write_avi(
-            [self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps
-        )
+    def _clip(self, clip: media.TouchClip) -> bytes:
+        frames = [self._encode(frame) for frame in clip.frames()]
+        return avi.write_avi(frames, self.width, self.height, clip.fps)
 
     def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)

@@ -25,7 +25,7 @@ import numpy as np
 from realtouch.formats import picture_arrays, zarr_recordings
 from realtouch.importing import import_options, source_files, source_touches
 from tactile_toolkit import cache, errors, store, touch, wording
-from tactile_toolkit.columns import column_types, tables
+from tactile_toolkit.columns import tables
 from tactile_toolkit.value_types import AnyArray
 
 H5Object = Any
@@ -161,7 +161,7 @@ class _HeapRows:
                 "one row for each picture",
                 next="write it again, by `h5repack -f NONE FILE NEW`",
             )
-        count = int(dataset.shape[0])
+        self.count = count = int(dataset.shape[0])
         parts = [(0, dataset.id.get_offset())]
         step = count
         if dataset.chunks:
@@ -175,14 +175,7 @@ class _HeapRows:
             if offset is not None:
                 read = np.frombuffer(self._read(offset, rows.nbytes), _REFERENCE)
                 rows[: len(read)] = read
-
-    def __len__(self) -> int:
-        return len(self._references)
-
-    @property
-    def bytes_stated(self) -> int:
-        """Sum of the sizes of all rows."""
-        return int(self._references["size"].sum(dtype=np.int64))
+        self.mean_bytes = int(self._references["size"].mean(dtype=np.float64)) if count else 0
 
     def row(self, number: int) -> bytes:
         """Return the bytes of a row; ItemError if it has none, or too many."""
@@ -238,8 +231,7 @@ def _pictures_in(address: str, root: H5Object, path: str, stream: IO[bytes]) -> 
         return picture_arrays.PictureArray.of(dataset_in(address, root, path))
     if root[path].dtype.kind == "O":
         rows = _HeapRows(address, root[path], stream)
-        size = int(rows.bytes_stated // max(1, len(rows)))
-        return picture_arrays.EncodedPictures(address, len(rows), size, rows.row).checked()
+        return picture_arrays.EncodedPictures(address, rows.count, rows.mean_bytes, rows.row).checked()
     array = dataset_in(address, root, path)
     block = lru_cache(1)(array.block)
 
@@ -372,9 +364,7 @@ def _recording(
         if kind == "Dataset"
     }
     inside.pop(image)
-    required = {source_files.NUMBERED, *columns.found_in(inside).names()}
-    arrays, left_out = picture_arrays.columns_of(inside, len(pictures), required)
-    per_frame = {member: column_types.column_of(values) for member, values in arrays.items()}
+    per_frame, left_out = picture_arrays.columns_of(inside, len(pictures), columns)
     left_out += [f"{member} (a link)" for member, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
     parts = group.split("/")
@@ -391,7 +381,7 @@ def _recording(
     whole = source_touches.Recording(
         title, home.address(), path, *about, left_out=tuple(left_out), conversions=pictures.conversions
     )
-    constant = zarr_recordings.episode_columns(whole, columns).intersection(required)
+    constant = zarr_recordings.episode_columns(whole, columns)
     return next(zarr_recordings.split_episodes(whole, np.array([len(pictures)]), [title], constant))
 
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Annotated
 
 import msgspec
@@ -76,16 +76,14 @@ read_contents = partial(source_files.pictures_by_file, _read_frames)
 
 
 class _Episodes:
-    """Reads the episodes of one camera; the columns of the last file are kept."""
+    """Reads the episodes of one camera; the columns of the last file are cached."""
 
     def __init__(self, home: store.DataFolder, info: Info, camera: str, tasks: Mapping[int, str]) -> None:
         self.home = home
         self.info = info
         self.camera = camera
         self.tasks = tasks
-        self._path = ""
-        self._columns: dict[str, pa.Array] = {}
-        self._picture_bytes = 0
+        self._columns_of = lru_cache(1)(self._read_columns)
 
     def recording(self, episode: Episode) -> source_touches.Recording:
         """Return the recording of an episode; if it cannot be used, it has a problem and one picture."""
@@ -99,17 +97,17 @@ class _Episodes:
         return recording if self.info.realtouch is None else _as_ours(recording, self.info.realtouch)
 
     def _read(self, recording: source_touches.Recording, episode: Episode) -> source_touches.Recording:
-        self._read_columns(episode.data_path)
-        rows = _rows_of(episode, self._columns)
+        columns, picture_bytes = self._columns_of(episode.data_path)
+        rows = _rows_of(episode, columns)
         per_frame = {
-            name: column.slice(rows.start, rows.stop - rows.start) for name, column in self._columns.items()
+            name: column.slice(rows.start, rows.stop - rows.start) for name, column in columns.items()
         }
         time_s = _times(per_frame, self.info.fps)
         values = {**self._task(per_frame), **episode.values}
         per_frame = {name: column for name, column in per_frame.items() if name not in _INDICES}
         recording = replace(recording, frames=len(time_s), values=values, per_frame=per_frame, time_s=time_s)
         if self.info.features[self.camera].dtype == "image":
-            return replace(recording, first=rows.start, frame_bytes=self._picture_bytes)
+            return replace(recording, first=rows.start, frame_bytes=picture_bytes)
         self.home.size_inside(episode.video_path)
         opened = videos.open_video(self.home, episode.video_path)
         first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
@@ -121,15 +119,14 @@ class _Episodes:
             conversions=(opened.conversion, opened.conversion),
         )
 
-    def _read_columns(self, path: str) -> None:
-        """Read all columns of a file except pictures, unless it was the last one that was read."""
-        if path == self._path:
-            return
+    def _read_columns(self, path: str) -> tuple[dict[str, pa.Array], int]:
+        """Return all columns of a file except pictures, and the approximate size of a picture in it."""
+        picture_bytes = 0
         parquet = flat_parquet.ForeignParquet(self.home, path)
         if self.info.features[self.camera].dtype == "image":
             if not flat_parquet.is_picture(parquet.types.get(self.camera)):
                 raise errors.ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
-            self._picture_bytes = parquet.picture_bytes(self.camera)
+            picture_bytes = parquet.picture_bytes(self.camera)
         plain = [name for name, data_type in parquet.types.items() if not flat_parquet.is_picture(data_type)]
         columns = parquet.columns([name for name in plain if name not in self.info.pictures])
         for name, column in columns.items():
@@ -140,8 +137,7 @@ class _Episodes:
                     f"the column {name!r} has vectors of {lengths[0]} and of {lengths[-1]} values; "
                     "expected one length",
                 )
-        self._columns = columns
-        self._path = path
+        return columns, picture_bytes
 
     def _task(self, per_frame: dict[str, pa.Array]) -> dict[str, str]:
         """Return the task of an episode; if there are several, each frame gets its own."""

@@ -7,16 +7,18 @@ values that 8 bits hold without loss are converted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
+import pyarrow as pa
 
-from realtouch.importing import source_files, source_touches
+from realtouch.importing import import_options, source_files, source_touches
 from tactile_toolkit import cache, errors, store, touch, wording
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.value_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
@@ -242,14 +244,17 @@ def _read_pictures(
 
 
 def columns_of(
-    arrays: Mapping[str, Callable[[], StoredArray]], frames: int, required: Collection[str]
-) -> tuple[dict[str, AnyArray], list[str]]:
-    """Read fields of each picture: shape (frames,), or (frames, k) for vectors and matrices.
+    arrays: Mapping[str, Callable[[], StoredArray]],
+    frames: int,
+    stated: import_options.ImportColumns,
+) -> tuple[dict[str, pa.Array], list[str]]:
+    """Read fields of each picture: numbers and texts, or lists of them for vectors and matrices.
 
     ``arrays`` holds functions that open arrays, by name. Also returns the names of the arrays that are left
-    out, each with its shape or the reason. Raises InputError if such an array is required.
+    out, each with its shape or the reason. Raises InputError if such an array is ``stated``.
     """
-    columns: dict[str, AnyArray] = {}
+    required = {*stated.found_in(arrays).names(), source_files.NUMBERED}
+    columns: dict[str, pa.Array] = {}
     others = []
     size = 0
     for name, opened in arrays.items():
@@ -265,7 +270,7 @@ def columns_of(
             size += frames * width * array.dtype.itemsize
             cache.require_unpackable(size, f"{array.address}, with all arrays before it,")
             rows = _rows_with_checked_text(array).reshape(frames, width)
-            columns[name] = rows[:, 0] if width == 1 else rows
+            columns[name] = column_types.column_of(rows[:, 0] if width == 1 else rows)
         elif name in required:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")
         else:

@@ -144,13 +144,11 @@ def recordings_of(
         for array in group.arrays("meta")
         if array in _META_ARRAYS
     }
-    required = {*columns.found_in(arrays).names(), source_files.NUMBERED}
-    arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), required)
+    per_frame, left_out = picture_arrays.columns_of(arrays, len(shown), columns)
     for array, count in group.absent.items():
         if count:
             chunks = wording.with_count(count, "chunks")
             left_out.append(f"{array.removeprefix('data/')} ({chunks} not stored, taken as the fill value)")
-    per_frame = {array: column_types.column_of(values) for array, values in arrays_read.items()}
     source = (name, group.home.address(), group.path, part)
     whole = source_touches.Recording(
         *source,
@@ -163,17 +161,17 @@ def recordings_of(
     )
     ends = episode_ends(group, len(shown))
     stated = group.json(ATTRIBUTES)
-    meta, _ = picture_arrays.columns_of(meta_arrays, len(ends), ())
+    meta, _ = picture_arrays.columns_of(meta_arrays, len(ends), columns)
     kept = stated.get(COLUMNS)
     if ROUND not in meta or not isinstance(kept, dict):
         return split_episodes(whole, ends, (), episode_columns(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
     whole = replace(whole, per_frame=per_frame, left_out=())
     whole = restore_column_names(whole, _OUR_VECTORS, _texts(stated, CLASSES))
-    round_ids = ids = list(map(str, meta[ROUND].tolist()))
+    round_ids = ids = list(map(str, meta[ROUND].to_pylist()))
     if TOUCH in meta:
         whole = replace(whole, cut="whole")
-        ids = list(map(touch_id, round_ids, meta[TOUCH].astype(int).tolist()))
+        ids = list(map(touch_id, round_ids, map(int, meta[TOUCH].to_pylist())))
     episodes = split_episodes(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
     return (
         replace(with_contact(episode), round=name) for episode, name in zip(episodes, round_ids, strict=True)

@@ -143,15 +143,8 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
         _style(every, touches.shards),
         extra_dirs=(_CUTS,) if pictures else (),
         libraries=("numpy", "pyarrow"),
-        write_files=partial(_write_pictures, pictures),
+        write_files=lambda folder, _manifest: conversion.write_changed(folder, pictures),
     )
-
-
-def _write_pictures(
-    pictures: Mapping[str, bytes], folder: store.DataFolder, _manifest: store.Manifest
-) -> dict[str, str]:
-    """Write the pictures of the cuts beside the data; return the checksum of each by its path."""
-    return conversion.write_changed(folder, pictures)
 
 
 def _listing_digest(touches: source_touches.SourceTouches) -> str:
@@ -348,8 +341,10 @@ def _rounds(
             next="leave it out, or ignore that column: --map split=",
             field="split",
         )
-    splits = _splits(stated, source_touches.texts_in(touches.listing["path"]), split)
-    for index, (name, part) in enumerate(zip(rounds, splits, strict=True)):
+    paths = source_touches.texts_in(touches.listing["path"])
+    for index, name in enumerate(rounds):
+        of_tar = _OUR_TAR.findall(paths[index].rpartition("/")[2])
+        part = stated[index] or split or next(iter(of_tar), "train")
         if not _SPLIT.fullmatch(part):
             raise errors.InputError(
                 f"{names[index]!r}: the split {fields.shown(part)!r}; expected letters and digits"
@@ -367,12 +362,6 @@ def _rounds(
             )
         by_split.setdefault(part, {}).setdefault(name, []).append(index)
     return by_split
-
-
-def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> Iterator[str]:
-    """Yield the split of each touch: as its column states, as given, as the name of its tar, or ``train``."""
-    for stated_split, path in zip(stated, paths, strict=True):
-        yield stated_split or split or next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
 
 
 def _in_pieces(
