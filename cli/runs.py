@@ -92,7 +92,7 @@ def make_with_progress(
         sink.line("next: after all parts, run the same command with --finish instead of --part")
         return None
     # Another split may be unfinished: its finished shards stay and are shown, as by `info`.
-    manifest = store.manifest_so_far(store.open_folder(out)) or manifest
+    manifest = store.Manifest.so_far(store.open_folder(out)) or manifest
     print_set(sink, kind, manifest, out, elapsed_s, unit=unit)
     sink.line(f"{made}; the data set is in {out}")
     return manifest

@@ -287,7 +287,7 @@ def _sample(generator: RowGenerator, plan: store.BuildPlan) -> tuple[int, float,
 def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
     """Return the number of rows of each split; empty if the manifest is damaged, None without one."""
     try:
-        manifest = store.manifest_so_far(folder)
+        manifest = store.Manifest.so_far(folder)
     except errors.IntegrityError:
         return {}
     if manifest is None:

@@ -39,7 +39,7 @@ def list_folder(folder: str | Path) -> list[JsonDict]:
         kind = ""
         table = dict[str, dict[str, int]]()
         try:
-            manifest = store.manifest_so_far(store.open_folder(str(path / name)))
+            manifest = store.Manifest.so_far(store.open_folder(str(path / name)))
         except ToolkitError as error:
             state = str(error)
         else:

@@ -208,7 +208,7 @@ def _is_oxt(stream: IO[bytes]) -> bool:
 
 def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
-    if store.manifest_so_far(home) is None:
+    if store.Manifest.so_far(home) is None:
         return None
     data_set = places.open_place(home.address()).require(KIND, "realtouch import")
     if data_set.spec.get("operation") != "export":

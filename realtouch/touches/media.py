@@ -29,7 +29,6 @@ from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import (
     MEDIA_TYPE,
     EncodedImage,
-    decode_grey,
     decode_image,
     encode_image,
 )
@@ -212,7 +211,7 @@ def encode_map(depth_m: Floating) -> bytes:
 
 def decode_map(data: memoryview | bytes) -> Float32:
     """Decode a depth map, shape (H, W), float32, metres; ValueError for any other file."""
-    return decode_grey(data).astype(np.float32) / np.float32(_PER_M)
+    return EncodedImage(data).grey().astype(np.float32) / np.float32(_PER_M)
 
 
 class DepthMaps(_StoredMedia[Float32, Float32]):

@@ -69,7 +69,7 @@ def encode_depth(image: Float32) -> bytes:
 
 def decode_depth(data: bytes) -> Float32:
     """Decode a PNG of :func:`encode_depth` to a depth image, 0 to 1; ValueError for other pictures."""
-    return (touch.decode_grey(data) / np.float32(DEPTH_LEVELS)).astype(np.float32)
+    return (touch.EncodedImage(data).grey() / np.float32(DEPTH_LEVELS)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

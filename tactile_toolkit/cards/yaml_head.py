@@ -71,7 +71,7 @@ class FolderSummary:
         ``manifest`` is one that will be written there, ``source`` the opened folder if it has none. Raises
         InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
         """
-        manifest = manifest or store.manifest_so_far(folder)
+        manifest = manifest or store.Manifest.so_far(folder)
         if manifest is None:
             held = (source or folder_place(folder)).all_shards()
             splits = [_measured(folder, split, shards) for split, shards in held.items()]

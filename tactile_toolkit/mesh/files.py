@@ -296,7 +296,7 @@ class MeshFiles:
 
 def _in_folder(root: Path, unit: str | None) -> MeshFiles | None:
     has_rows = any(next(root.glob(pattern), None) for pattern in ("*.parquet", "*/*.parquet"))
-    if has_rows or store.manifest_so_far(store.open_folder(str(root))) is not None:
+    if has_rows or store.Manifest.so_far(store.open_folder(str(root))) is not None:
         return None  # a data set
     here = _classes_of(root, besides=_SPLITS)
     splits = {name: _classes_of(root / name) for name in _SPLITS if (root / name).is_dir()}

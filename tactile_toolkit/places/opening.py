@@ -169,7 +169,7 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
             raise not_a_set(folder, name, file)
         return Place(name, folder, {split_of_file(file) or USUAL_SPLIT: (file,)}, is_file=True)
     resume_promotion(folder)  # a folder that is being replaced has files of two data sets
-    manifest = store.manifest_so_far(folder)
+    manifest = store.Manifest.so_far(folder)
     if manifest is not None:
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
     if is_interrupted(folder):

@@ -366,7 +366,7 @@ class Shard:
         data, _ = store.split_uri(self.path)
         folder, name = store.split_uri(data.address())
         if name == DATA_FOLDER:
-            return store.manifest_so_far(folder)
+            return store.Manifest.so_far(folder)
         return None
 
     @property

@@ -30,7 +30,6 @@ from .files import (
 )
 from .job import (
     BuildPlan as BuildPlan,
-    manifest_so_far as manifest_so_far,
     MissingPartsError as MissingPartsError,
     Progress as Progress,
     RunKeywords as RunKeywords,

@@ -30,7 +30,7 @@ from tactile_toolkit.store.manifest import (
     ShardName,
     ShardRecord,
     Skipped,
-    is_of_others,
+    begun_records,
     pending_records,
     pending_shards,
     read_manifest,
@@ -542,44 +542,12 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterabl
             )
 
 
-def manifest_so_far(folder: DataFolder) -> Manifest | None:
-    """Read the manifest of a folder together with what an unfinished run has finished; None without one.
-
-    Only sizes are compared. A file of that name that another program wrote is not a manifest. Raises
-    IntegrityError when the manifest is damaged.
-    """
-    try:
-        manifest = read_manifest(folder)
-    except errors.IntegrityError:
-        if is_of_others(folder.read_bytes(MANIFEST_FILE)):
-            return None
-        raise
-    if manifest is None:
-        return None
-    begun = _begun_records(folder, manifest)
-    return replace(manifest.with_shards(begun), complete=False) if begun else manifest
-
-
-def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
-    """Return the pending records that a manifest does not hold and whose files exist."""
-    listed = {record.shard for record in manifest.shards}
-    pending = pending_records(
-        folder,
-        manifest.identity,
-        lambda shard: shard not in listed and shard.split in manifest.split_order,
-    )
-    if not pending:
-        return []  # the files of a finished set are not listed: there may be 50,000
-    sizes = folder.sizes(DATA_FOLDER)
-    return [record for record in pending.values() if record.is_size_of(sizes)]
-
-
 def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
     """Remove what a finished set does not need: its pending records and temporary files.
 
     Records of another split stay until that is finished.
     """
-    shards = [record.shard for record in _begun_records(folder, manifest)]
+    shards = [record.shard for record in begun_records(folder, manifest)]
     kept = {path for shard in shards for path in (shard.record_path, shard.report_path)}
     remove_pending(folder, kept)
 

@@ -416,6 +416,24 @@ class Manifest:
         return seal(wording.printable_json(kept, indent=1) + "\n")
 
     @classmethod
+    def so_far(cls, folder: DataFolder) -> Manifest | None:
+        """Read the manifest of a folder together with what an unfinished run has finished; None without one.
+
+        Only sizes are compared. A file of that name that another program wrote is not a manifest. Raises
+        IntegrityError when the manifest is damaged.
+        """
+        try:
+            manifest = read_manifest(folder)
+        except errors.IntegrityError:
+            if is_of_others(folder.read_bytes(MANIFEST_FILE)):
+                return None
+            raise
+        if manifest is None:
+            return None
+        begun = begun_records(folder, manifest)
+        return replace(manifest.with_shards(begun), complete=False) if begun else manifest
+
+    @classmethod
     def from_json(cls, content: str | bytes, address: str) -> Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, was changed, or has another layout."""
         manifest = decode(content, cls, address)
@@ -511,6 +529,20 @@ def pending_records(
                 record = decode(content or b"", ShardRecord, shard.record_path)
                 records[record.shard] = record
     return records
+
+
+def begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
+    """Return the pending records that a manifest does not hold and whose files exist."""
+    listed = {record.shard for record in manifest.shards}
+    pending = pending_records(
+        folder,
+        manifest.identity,
+        lambda shard: shard not in listed and shard.split in manifest.split_order,
+    )
+    if not pending:
+        return []  # the files of a finished set are not listed: there may be 50,000
+    sizes = folder.sizes(DATA_FOLDER)
+    return [record for record in pending.values() if record.is_size_of(sizes)]
 
 
 @contextlib.contextmanager

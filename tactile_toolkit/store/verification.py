@@ -18,7 +18,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tactile_toolkit import errors, run, wording
-from tactile_toolkit.store import job
 from tactile_toolkit.store.files import is_hidden, names_inside, open_regular
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import (
@@ -84,7 +83,7 @@ def verify(
     IntegrityError
         The manifest, or the record of the download, is damaged.
     """
-    manifest = job.manifest_so_far(folder)
+    manifest = Manifest.so_far(folder)
     shards: dict[str, ShardRecord] = {}
     if manifest is None:
         record = read_download_record(folder)

@@ -10,7 +10,6 @@ from .contact import (
 )
 from .images import (
     CLASS_NAMES as CLASS_NAMES,
-    decode_grey as decode_grey,
     decode_image as decode_image,
     encode_image as encode_image,
     EncodedImage as EncodedImage,

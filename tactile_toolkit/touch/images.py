@@ -194,6 +194,18 @@ class EncodedImage:
             raise _undecodable(data) from error
         raise ValueError(problem)
 
+    def grey(self) -> AnyArray:
+        """Decode a grey PNG of 16 bits, such as a depth map: (H, W), integers; ValueError for others."""
+        expected = f"expected a grey PNG of 16 bits and at most {MAX_IMAGE_PIXELS:,} pixels"
+        try:
+            image = Image.open(io.BytesIO(self.data), formats=["PNG"])
+            found = f"{image.width} x {image.height} pixels of mode {image.mode}"
+            if image.mode in _GREY_MODES and image.width * image.height <= MAX_IMAGE_PIXELS:
+                return np.asarray(image)
+        except Exception as error:  # Pillow raises many kinds on damaged files
+            raise ValueError(f"an image that cannot be decoded; {expected}") from error
+        raise ValueError(f"an image of {found}; {expected}")
+
     def require_bounded(self) -> None:
         """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
         # A touch of 64 x 64 pixels takes 1 kB; the search would add a tenth to its time.
@@ -305,19 +317,6 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None, *, least_px
         return pixels
     out[...] = pixels
     return out
-
-
-def decode_grey(data: memoryview | bytes) -> AnyArray:
-    """Decode a grey PNG of 16 bits, such as a depth map: shape (H, W), integers; ValueError for others."""
-    expected = f"expected a grey PNG of 16 bits and at most {MAX_IMAGE_PIXELS:,} pixels"
-    try:
-        image = Image.open(io.BytesIO(data), formats=["PNG"])
-        found = f"{image.width} x {image.height} pixels of mode {image.mode}"
-        if image.mode in _GREY_MODES and image.width * image.height <= MAX_IMAGE_PIXELS:
-            return np.asarray(image)
-    except Exception as error:  # Pillow raises many kinds on damaged files
-        raise ValueError(f"an image that cannot be decoded; {expected}") from error
-    raise ValueError(f"an image of {found}; {expected}")
 
 
 def _open_image(data: memoryview | bytes) -> Image.Image:

@@ -10,9 +10,9 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run import Part
 from tactile_toolkit.run.runners import ProcessRunner
-from tactile_toolkit.store import build, open_folder, read_manifest, verify
+from tactile_toolkit.store import Manifest, build, open_folder, read_manifest, verify
 from tactile_toolkit.store.folder import LocalFolder
-from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far
+from tactile_toolkit.store.job import MissingPartsError, array_text
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan
 
 SHARDS = 6
@@ -35,7 +35,7 @@ def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count
         if number % count < SHARDS:
             assert (tmp_path / "set" / toy_plan().tasks[first].shard.data_path).is_file()
             assert read_manifest(folder).shards == ()
-    assert not manifest_so_far(folder).complete
+    assert not Manifest.so_far(folder).complete
     for _ in range(2):  # a repeated part makes no difference
         assert make(folder.root, finish=True).complete
         assert folder_bytes(tmp_path / "set") == whole
@@ -98,7 +98,7 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
         file.unlink()
     with pytest.raises(MissingPartsError, match=r"1 of 6 shards .* those of part 3 of 6"):
         make(tmp_path / "set", finish=True)
-    so_far = manifest_so_far(open_folder(str(tmp_path / "set")))
+    so_far = Manifest.so_far(open_folder(str(tmp_path / "set")))
     assert len(so_far.shards) == SHARDS - 1
     made = []
     make(tmp_path / "set", part=Part(1, 2), on_progress=lambda told: made.append(told.record))

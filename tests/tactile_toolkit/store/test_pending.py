@@ -6,7 +6,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import build, manifest_so_far, open_folder, read_manifest, verify
+from tactile_toolkit.store import Manifest, build, open_folder, read_manifest, verify
 from tactile_toolkit.store.manifest import write_manifest
 from tests.tactile_toolkit.toy import folder_bytes, make, toy_plan
 
@@ -28,12 +28,12 @@ def indices(manifest, split="train"):
 def test_manifest_so_far_counts_finished_shards_of_an_unfinished_run(interrupted, tmp_path):
     folder = open_folder(str(interrupted))
     assert indices(read_manifest(folder)) == []
-    so_far = manifest_so_far(folder)
+    so_far = Manifest.so_far(folder)
     assert not so_far.complete
     assert indices(so_far) == [0, 1]
     assert so_far.split_table()["train"]["rows"] == 9
     before = folder_bytes(interrupted)
-    manifest_so_far(folder)
+    Manifest.so_far(folder)
     assert folder_bytes(interrupted) == before
     assert made_by(interrupted, toy_plan(("train",))) == [2, 3]
     make(tmp_path / "whole", toy_plan(("train",)))
@@ -41,9 +41,9 @@ def test_manifest_so_far_counts_finished_shards_of_an_unfinished_run(interrupted
 
 
 def test_manifest_so_far_is_the_manifest_of_a_finished_run(tmp_path):
-    assert manifest_so_far(open_folder(str(tmp_path))) is None
+    assert Manifest.so_far(open_folder(str(tmp_path))) is None
     manifest = make(tmp_path / "set", toy_plan())
-    assert manifest_so_far(open_folder(str(tmp_path / "set"))) == manifest
+    assert Manifest.so_far(open_folder(str(tmp_path / "set"))) == manifest
 
 
 def made_by(path, plan, **options):
