@@ -17,7 +17,7 @@ from tactile_toolkit.value_types import JsonDict, JsonValue
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Imported when they are called: they import pyarrow.
-_list_folder = lazy("tactile_toolkit.sets:list_folder")
+_list_sets = lazy("tactile_toolkit.sets:list_sets")
 _stored_row = lazy("tactile_toolkit.sets:stored_row")
 _verify_touches = lazy("realtouch:verify")
 _check_touches = lazy("realtouch:check")
@@ -38,20 +38,18 @@ def list_sets(
 
     Examples: tactile list;  tactile list .
     """
-    if folder is None:
-        _print_published(sink)
-        return
-    sets = _list_folder(options.parse_local_path(folder))
+    sets = _list_sets(folder and options.parse_local_path(folder))
     sink.document(sets)
+    if folder is None:
+        _print_published(sink, sets)
+        return
     rows = [list({**entry, "bytes": bytes_text(entry["bytes"])}.values()) for entry in sets]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{with_count(len(sets), 'data sets')} in {folder}")
 
 
-def _print_published(sink: output.Sink) -> None:
+def _print_published(sink: output.Sink, sets: Sequence[JsonDict]) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
-    sets = list(places.published_sets())
-    sink.document(sets)
     rows = []
     for known in sets:
         there = "?" if known["hub_bytes"] is None else bytes_text(known["hub_bytes"])

@@ -18,7 +18,7 @@ import numpy as np
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh import MAX_PIXELS, MM_PER_M, Mesh, MeshFile, MeshLike, SolidRecord, highest_values
+from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, MeshLike, SolidRecord, highest_values
 from tactile_toolkit.read import LazySequence, RecordDataset
 from tactile_toolkit.value_types import AnyArray, Bool, Float32, Float64, Floating, Int32
 
@@ -374,20 +374,13 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
         columns, rows = np.maximum(stop - first, 1).tolist()
-    if not columns * rows <= MAX_PIXELS:
-        raise InputError(
-            f"a height map of {columns:.7g} x {rows:.7g} pixels of {pitch_m:g} m was asked for, at most "
-            f"{MAX_PIXELS:,} are made",
-            next="choose a larger pitch",
-        )
-    first_column, first_row = map(int, first)
-    x_m, y_m, z_m = vertices_m.T.astype(np.float64)
-    # The centre of pixel (i, j) of the map is at column i, row j.
-    pixels = x_m / pitch_m - (first_column + 0.5), y_m / pitch_m - (first_row + 0.5)
-    heights_m = highest_values(np.stack([*pixels, z_m]), mesh.faces, (int(rows), int(columns)))
+        x_m, y_m, z_m = vertices_m.T.astype(np.float64)
+        # The centre of pixel (i, j) of the map is at column i, row j.
+        pixels = x_m / pitch_m - (first[0] + 0.5), y_m / pitch_m - (first[1] + 0.5)
+    heights_m = highest_values(np.stack([*pixels, z_m]), mesh.faces, (rows, columns))
     heights_m[np.isneginf(heights_m)] = np.nan
     heights_m.setflags(write=False)
-    return HeightMap(heights_m, first_column, first_row, float(pitch_m))
+    return HeightMap(heights_m, int(first[0]), int(first[1]), float(pitch_m))
 
 
 def _is_length(value: object) -> bool:

@@ -19,12 +19,14 @@ from tactile_toolkit.wording import bytes_text, with_count
 _SHOWN = 6
 
 
-def list_folder(folder: str | Path) -> list[JsonDict]:
-    """Return the data sets in a folder, and the folder itself if it is one, as JSON values.
+def list_sets(folder: str | Path | None = None) -> list[JsonDict]:
+    """Return the data sets in a folder, and the folder itself if it is one, or the published ones, as JSON.
 
-    ``state`` is finished, unfinished or the message of an error. Only manifests are read. Raises InputError
-    if the folder does not exist.
+    ``state`` is finished, unfinished or the message of an error. Only manifests are read; see
+    :func:`tactile_toolkit.places.published_sets`. Raises InputError if the folder does not exist.
     """
+    if folder is None:
+        return list(places.published_sets())
     path = Path(folder)
     if not path.is_dir():
         raise InputError(

@@ -85,7 +85,7 @@ class Report:
 
     def contents(self) -> dict[str, bytes]:
         """Return the files of a report by name: JSON, Markdown and the curves; needs matplotlib."""
-        json_text = wording.printable_json(asdict(self))
+        json_text = json.dumps(asdict(self), indent=2)
         texts = {REPORT_FILES[0]: json_text, REPORT_FILES[1]: self.markdown()}
         files = {name: text.encode() for name, text in texts.items()}
         return files | {REPORT_FILES[2]: draw_curves({str(self.policy["name"]): self})}

@@ -27,7 +27,6 @@ from .mesh_options import (
     UNIT as UNIT,
 )
 from .raster import (
-    MAX_PIXELS as MAX_PIXELS,
     highest_values as highest_values,
 )
 from .records import (

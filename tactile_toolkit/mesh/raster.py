@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Float32, Float64, Int64, Integers
 
 MAX_PIXELS = 1 << 27
@@ -27,11 +28,18 @@ _AT_ONCE = 1 << 20
 _DEPTH_STEPS = 1 << 30
 
 
-def highest_values(points: Float64, faces: Integers, shape: tuple[int, int]) -> Float32:
+def highest_values(points: Float64, faces: Integers, shape: tuple[float, float]) -> Float32:
     """Return the height of the highest triangle over the centre of each pixel, -inf where there is none.
 
-    Parameters are as for :func:`covered_pixels`; triangles that face downwards are ignored.
+    Parameters are as for :func:`covered_pixels`; triangles that face downwards are ignored. InputError for a
+    map that is too large, whose sides may be infinite or NaN.
     """
+    if not shape[0] * shape[1] <= MAX_PIXELS:
+        raise InputError(
+            f"a map of {shape[1]:.7g} x {shape[0]:.7g} pixels was asked for, at most {MAX_PIXELS:,} are made",
+            next="choose a larger pitch",
+        )
+    shape = int(shape[0]), int(shape[1])
     highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
     for _, _, pixel, height in covered_pixels(points, faces, shape):
         np.maximum.at(highest, pixel, height.astype(np.float32))

@@ -9,7 +9,8 @@ from hypothesis import given, strategies as st
 import tactile_toolkit.mesh.raster
 from env_assets.mesh_view import top_surface
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MAX_PIXELS, Mesh
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh.raster import MAX_PIXELS
 from tests.env_assets.shapes import box, cylinder, joined, surfaces
 
 
