@@ -55,6 +55,15 @@ _Episode = tuple[int | None, list[memoryview], dict[str, object]]
 _OF_EPISODES = ("action", "prediction", "target", "reward", "terminated")
 _OF_POLICIES = {"extra.action": ACTION, "extra.reward": "next.reward", "extra.terminated": "next.terminated"}
 """Names that other libraries give to what a policy did after a touch, and earned; the last touch has none."""
+OUR_NAMES = {
+    STATE: "gel_pose",
+    ACTION: "pos_in_cell",
+    TIME: "time_s",
+    CONTACT: CONTACT,
+    "label": "label",
+    "object_id": "object_id",
+}
+"""Names of columns of frames, as the mark of an export states them, by which an import restores them."""
 FEATURE = "observation."
 """Prefix of the names of further columns, as columns of frames."""
 # Columns and arrays of the formats themselves.
@@ -215,6 +224,19 @@ class Episodes:
         has_actions = not are_clips and are_episodes(source.schema)
         extras = extra_columns_of(source.shards[split])
         return cls(split, are_clips, fps, size, source.class_names, extras, number, has_actions)
+
+    @property
+    def own_names(self) -> dict[str, str]:
+        """Name of each column of frames in the data set; where two have one, the last one counts."""
+        further = {extra.name: extra.own_name for extra in self.extras}  # the action of a policy, too
+        return further | {name: own for name, own in OUR_NAMES.items() if name not in further}
+
+    @property
+    def names_of_clips(self) -> list[str]:
+        """Names in the data set of the further columns with an entry for each touch."""
+        return [
+            extra.own_name for extra in self.extras if extra.stored.startswith(schema.EXTRA_PREFIX["touch"])
+        ]
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and those of the index of episodes."""
@@ -381,6 +403,11 @@ class ExtraColumn:
     stored: str
     name: str
     data_type: pa.DataType
+
+    @property
+    def own_name(self) -> str:
+        """Its name in the data set, without prefix."""
+        return self.stored.partition(".")[2]
 
     def of_frames(self, row: stored_round.StoredRound, touch: int | None, count: int) -> pa.Array:
         """Return the values of an episode: of all touches of a round, or of the frames of one clip.

@@ -326,7 +326,7 @@ class _WriteMeta:
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
         step = self.step
-        mark = Mark(step.names, step.are_clips, {extra.name: extra.stored for extra in step.extras})
+        mark = Mark(step.names, step.are_clips, step.own_names, tuple(step.names_of_clips))
         return {
             "codebase_version": _VERSION,
             "robot_type": None,

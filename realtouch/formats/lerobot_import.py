@@ -18,8 +18,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from realtouch import touch_options
-from realtouch.formats import exports, flat_parquet, media_files, zarr_recordings
+from realtouch.formats import flat_parquet, media_files, zarr_recordings
 from realtouch.importing import import_options, source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
@@ -29,8 +28,6 @@ from tactile_toolkit.value_types import Float64, JsonObject
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
-_VECTORS = {exports.STATE: touch_options.POSE_COLUMNS, exports.ACTION: touch_options.POSITION_COLUMNS}
-_OF_EPISODE = ("label", "label_name", "object_id")
 _INFO = "meta/info.json"
 _FOLDERS = ("meta", "data", "videos", "images")
 _PICTURES = ("image", "video")
@@ -204,55 +201,34 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
 
 def _as_ours(recording: source_touches.Recording, mark: Mark) -> source_touches.Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
-    every = recording.per_frame
-    columns = {name: column for name, column in every.items() if name not in mark.extra}
     values = dict(recording.values)
-    time_s = recording.time_s
-    if exports.TIME in columns:
-        time_s = columns.pop(exports.TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", recording.name))
     touch = values.pop("touch", None)
-    of_episode = list(_OF_EPISODE)
-    cut = "frames"
     if mark.clips:
-        name = recording.name
-        cut = "whole"
-        if isinstance(touch, int):
-            name = touch_id(round_id, touch)
-        of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]
-    recording = replace(recording, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
-    recording = zarr_recordings.with_contact(recording)
-    ours = zarr_recordings.restore_column_names(recording, _VECTORS, mark.class_names).per_frame
-    # Further columns are added last: one may have the name of a column of ours, which is kept then.
-    per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
-    values |= {
-        field_name: per_frame.pop(field_name)[0].as_py()
-        for field_name in of_episode
-        if field_name in per_frame
-    }
-    return replace(recording, values=values, per_frame=per_frame)
+        name = touch_id(round_id, touch) if isinstance(touch, int) else recording.name
+    every = recording.per_frame
+    own = {own_name: every[feature] for feature, own_name in mark.columns.items() if feature in every}
+    # What another program added keeps its name.
+    per_frame = {feature: column for feature, column in every.items() if feature not in mark.columns} | own
+    whole = replace(recording, values=values, per_frame=per_frame)
+    ends = np.array([recording.frames])
+    (episode,) = zarr_recordings.our_episodes(whole, ends, [name], mark.class_names, mark.columns_of_clips)
+    time_s = recording.time_s if episode.time_s is None else episode.time_s
+    return replace(episode, round=round_id, cut="whole" if mark.clips else "frames", time_s=time_s)
 
 
 class Mark(msgspec.Struct, frozen=True):
     """Mark of an export of this toolkit.
 
-    ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
-    feature: ``extra.NAME`` with an entry for each touch, or ``extra_seq.NAME`` for each frame.
+    ``clips``: an episode is a clip, not a round. ``columns``: the name in the data set of each feature;
+    ``columns_of_clips``: those with an entry for each touch.
     """
 
     class_names: tuple[str, ...]
     clips: bool
-    extra: Mapping[str, str] = {}
-
-    def own_name(self, feature: str) -> str:
-        """Return the name of a further column in the data set; the name of another feature is unchanged."""
-        return self.extra.get(feature, feature).removeprefix("extra_seq.").removeprefix("extra.")
-
-    @property
-    def per_touch(self) -> list[str]:
-        """Names in the data set of the further columns with an entry for each touch."""
-        return [self.own_name(name) for name, stored in self.extra.items() if stored.startswith("extra.")]
+    columns: Mapping[str, str]
+    columns_of_clips: tuple[str, ...]
 
 
 class Feature(msgspec.Struct, frozen=True):

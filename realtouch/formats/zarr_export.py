@@ -35,16 +35,6 @@ from tactile_toolkit.value_types import AnyArray, UInt8
 
 CHUNK_BYTES = 2 << 20
 _LEVEL = 1
-OUR_NAMES = {
-    **{
-        exports.STATE: "gel_pose",
-        exports.ACTION: "pos_in_cell",
-        exports.TIME: "time_s",
-        exports.CONTACT: exports.CONTACT,
-    },
-    **{name: name for name in ("label", "object_id")},
-}
-"""Names of columns of frames, as :data:`COLUMNS` states them."""
 _PICTURE = {exports.IMAGE, f"{exports.IMAGE}.bytes", f"{exports.IMAGE}.path"}
 AddArrays = Callable[[exports.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
@@ -179,15 +169,9 @@ class GroupFormat:
     ) -> tuple[dict[str, AnyArray], dict[str, object]]:
         """Return all arrays except the pictures, and the attributes of ``meta``, which describe them."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
-        further = {extra.name for extra in step.extras}  # the action of a policy, too
-        known = {name: array for name, array in self.arrays.items() if name in columns.keys() - further}
-        kept = {array: OUR_NAMES[name] for name, array in known.items()}
-        of_clips = []
-        for extra in step.extras:
-            known[extra.name] = array = extra.name.removeprefix(exports.FEATURE)
-            kept[array] = own_name = extra.stored.partition(".")[2]
-            if extra.stored.startswith(schema.EXTRA_PREFIX["touch"]):
-                of_clips.append(own_name)
+        own_names = step.own_names
+        known = {extra.name: extra.name.removeprefix(exports.FEATURE) for extra in step.extras}
+        known = {name: array for name, array in {**self.arrays, **known}.items() if name in columns}
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
@@ -198,8 +182,8 @@ class GroupFormat:
         by_path[zarr_recordings.ENDS] = np.append(starts[1:], len(table)).astype("<i8")
         return by_path, {
             zarr_recordings.CLASSES: step.names,
-            zarr_recordings.COLUMNS: kept,
-            zarr_recordings.PER_CLIP: of_clips,
+            zarr_recordings.COLUMNS: {known[name]: own for name, own in own_names.items() if name in known},
+            zarr_recordings.PER_CLIP: step.names_of_clips,
             **stated,
         }
 
@@ -232,7 +216,7 @@ plan_replay = GroupFormat(
     name="replay buffer",
     folder="replay",
     pictures=zarr_recordings.PIXELS,
-    arrays={**OUR_NAMES, exports.STATE: "state", exports.ACTION: "action"},
+    arrays={**exports.OUR_NAMES, exports.STATE: "state", exports.ACTION: "action"},
 ).plan
 
 
@@ -241,7 +225,7 @@ def _add_arrays(
 ) -> Mapping[str, object]:
     """Add the arrays of the format that follow from columns, and stand-ins; return what stands for what."""
     count = len(table)
-    exact = arrays.get(OUR_NAMES[exports.STATE])
+    exact = arrays.get(exports.OUR_NAMES[exports.STATE])
     pose = np.broadcast_to(0.0, (count, 6))
     meaning_of_pose = _NO_POSE
     if exact is not None:
@@ -274,7 +258,7 @@ def plan_oxt(
         name="group of Open-X-Tactile",
         folder="oxt",
         pictures=_TACTILE.format("data", touch.sensor_family(sensor)),
-        arrays={**OUR_NAMES, exports.TIME: _TIMES},
+        arrays={**exports.OUR_NAMES, exports.TIME: _TIMES},
         add=partial(_add_arrays, sensor),
         sensors=(1,),
         number=pa.float64(),

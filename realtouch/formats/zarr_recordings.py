@@ -165,17 +165,26 @@ def recordings_of(
     kept = stated.get(COLUMNS)
     if ROUND not in meta or not isinstance(kept, dict):
         return split_episodes(whole, ends, (), episode_columns(whole, columns))
-    per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
+    per_frame = {str(own): per_frame[name] for name, own in kept.items() if name in per_frame}
     whole = replace(whole, per_frame=per_frame, left_out=())
-    whole = restore_column_names(whole, _OUR_VECTORS, _texts(stated, CLASSES))
     round_ids = ids = list(map(str, meta[ROUND].to_pylist()))
     if TOUCH in meta:
         whole = replace(whole, cut="whole")
         ids = list(map(touch_id, round_ids, map(int, meta[TOUCH].to_pylist())))
-    episodes = split_episodes(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
-    return (
-        replace(with_contact(episode), round=name) for episode, name in zip(episodes, round_ids, strict=True)
-    )
+    episodes = our_episodes(whole, ends, ids, _texts(stated, CLASSES), _texts(stated, PER_CLIP))
+    return (replace(episode, round=name) for episode, name in zip(episodes, round_ids, strict=True))
+
+
+def our_episodes(
+    whole: source_touches.Recording,
+    ends: Int64,
+    names: Sequence[str],
+    class_names: Sequence[str],
+    names_of_clips: Sequence[str],
+) -> Iterator[source_touches.Recording]:
+    """Divide a recording that this toolkit wrote into episodes, with the columns of its tables."""
+    whole = restore_column_names(whole, _OUR_VECTORS, class_names)
+    return map(with_contact, split_episodes(whole, ends, names, {*_OUR_VALUES, *names_of_clips}))
 
 
 def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
