@@ -18,14 +18,14 @@ _RATIO_OF_FEWEST = 0.25
 
 def _counts(name: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
-    least, _, most = (part.strip() for part in words.partition("-"))
+    ends = wording.counts(words, "-")
     # The range is bounded before it becomes a tuple; `SceneSpec` checks the rest.
-    if wording.is_count(least) and wording.is_count(most) and int(least) <= int(most) < 10_000:
-        return tuple(range(int(least), int(most) + 1))
-    numbers = wording.comma_separated(words)
-    if not numbers or not all(map(wording.is_count, numbers)):
+    if len(ends) == 2 and ends[0] <= ends[1] < 10_000:
+        return tuple(range(ends[0], ends[1] + 1))
+    numbers = wording.counts(words)
+    if not numbers:
         raise InputError(f"is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5", field=name)
-    return tuple(map(int, numbers))
+    return numbers
 
 
 def _lengths_m(name: str, words: str, most: int) -> tuple[float, ...]:
@@ -43,8 +43,9 @@ def _lengths_m(name: str, words: str, most: int) -> tuple[float, ...]:
 
 def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
-    if wording.is_count(words.strip()):
-        return tuple((split, int(words)) for split in KIND.splits)
+    total = wording.counts(words)
+    if len(total) == 1:
+        return tuple((split, total[0]) for split in KIND.splits)
     return checked_fields.split_counts(words, "scenes", KIND.splits)
 
 
@@ -102,7 +103,7 @@ class SceneOptions:
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
         others = _counts("distractors", self.distractors)
-        if len(wording.comma_separated(self.distractors)) > 2:
+        if len(wording.counts(self.distractors)) > 2:
             raise InputError(
                 f"is {self.distractors!r}; expected the minimum and the maximum, such as 0-5",
                 field="distractors",

@@ -199,7 +199,7 @@ def split_counts(
     pairs = to_builtin(value.items() if isinstance(value, Mapping) else value)
     if isinstance(value, str):
         texts = [tuple(piece.strip() for piece in part.partition("=")) for part in value.split(",")]
-        if not all(wording.is_count(count) for _, _, count in texts):
+        if not all(wording.counts(count) for _, _, count in texts):
             raise errors.InputError(
                 f"{of}is {value!r}; expected SPLIT=N once per split, such as train=8,test=2", field=name
             )

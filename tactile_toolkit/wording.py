@@ -92,9 +92,11 @@ def markdown_code(text: str) -> str:
     return f"{fence} {shown} {fence}"
 
 
-def is_count(text: str) -> bool:
-    """Return whether a text is a decimal integer of at most 18 digits."""
-    return text.isdecimal() and len(text) <= _LONGEST_COUNT
+def counts(text: str, mark: str = ",") -> tuple[int, ...]:
+    """Return the integers, of at most 18 decimal digits, that a mark separates; empty for another text."""
+    words = [word.strip() for word in text.split(mark)]
+    is_valid = all(word.isdecimal() and len(word) <= _LONGEST_COUNT for word in words)
+    return tuple(map(int, words)) if is_valid else ()
 
 
 def comma_separated(text: str) -> list[str]:

@@ -78,10 +78,10 @@ def span_of(name: str, per_unit: float) -> Callable[[str], Span]:
 
 def markers_of(words: str) -> tuple[int, int]:
     """Return columns and rows of markers, as in ``7x9``; InputError for other words."""
-    columns, _, rows = words.strip().lower().partition("x")
-    if not (wording.is_count(columns) and wording.is_count(rows)):
+    markers = wording.counts(words.lower(), "x")
+    if len(markers) != 2:
         raise InputError(f"is {words!r}; expected COLUMNSxROWS, such as 7x9", field="markers")
-    return int(columns), int(rows)
+    return markers
 
 
 def checked_markers(markers: object) -> tuple[int, int]:

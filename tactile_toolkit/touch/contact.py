@@ -135,9 +135,9 @@ def size_option(default: object, shown: str = "") -> checked_fields.Declared:
 
 
 def _size(words: str) -> tuple[int, int]:
-    width, _, height = words.strip().lower().partition("x")
-    if not (wording.is_count(width) and wording.is_count(height)):
+    size = wording.counts(words.lower(), "x")
+    if len(size) != 2:
         raise errors.InputError(
             f"is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64", field="size_px"
         )
-    return int(width), int(height)
+    return size
