@@ -45,19 +45,10 @@ def found(tmp_path_factory) -> dict[str, list[int]]:
         }
 
 
-@pytest.mark.thorough
-def test_all_splits_are_of_the_commit_that_was_seen_first(found):
+def test_all_splits_and_copies_are_of_the_commit_that_was_seen_first_and_new_providers_see_the_new_one(found):
     assert (len(found["first"]), len(found["other split"])) == (6, 6)
     assert found["again"] == found["first"]
-    assert found["by name"] == found["other split"]
-
-
-@pytest.mark.thorough
-def test_a_copy_for_another_process_stays_at_that_commit(found):
-    assert found["copy"] == found["other split"]
-
-
-def test_a_new_provider_sees_the_new_commit(found):
+    assert found["by name"] == found["copy"] == found["other split"]
     assert len(found["new"]) == 9
     assert found["new"][:6] != found["other split"]
 

@@ -109,13 +109,11 @@ def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
     *_, info = env.step(action)
     for picture, wanted, right in zip(env.render(), shares, info["prediction"]["target"], strict=True):
         panel = picture[100:, 240:]
-        inked = (panel == GREEN).all(axis=2) | (panel == BLUE).all(axis=2)
-        left = int(inked.any(axis=0).argmax())
-        tops = np.flatnonzero(np.diff(inked.any(axis=1).astype(int), prepend=0) == 1)
-        assert inked[tops].sum(axis=1).tolist() == [1 + round(share * (92 - left)) for share in wanted]
-        colours = [tuple(colour) for colour in panel[tops, left].tolist()]
-        assert colours == [GREEN if number == right else BLUE for number in range(10)]
-        assert all((panel[top : top + 10, :left] < 100).any() for top in tops)
+        bars = bars_of(panel)
+        (left,) = {bar[1] for bar in bars}
+        assert [bar[2] for bar in bars] == [1 + round(share * (92 - left)) for share in wanted]
+        assert [bar[0] for bar in bars] == [GREEN if number == right else BLUE for number in range(10)]
+        assert all((panel[top : top + 10, :left] < 100).any() for *_, top in bars)
     env.close()
 
 

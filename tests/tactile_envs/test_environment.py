@@ -34,11 +34,15 @@ TASKS = (
     *(DEPTH, "TactileMNISTVolume-Depth-train-v0", "TactileMNISTCenterOfMass-Depth-train-v0"),
     *("Starstruck-Depth-train-v0", "Toolbox-Depth-v0"),
 )
+OTHER_FORMS = (
+    *("TactileMNISTSnap-Depth-train-sparse-v0", "TactileMNISTRealSnap-train-v0"),
+    "TactileMNISTVolumeRealSnap-train-v0",
+)
 WAY = st.floats(-1e3, 1e3, width=32)
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("env_id", [*TASKS, "TactileMNISTSnap-Depth-train-sparse-v0"])
+@pytest.mark.parametrize("env_id", [*TASKS, *OTHER_FORMS])
 def test_checkers_pass(env_id, assets):
     single = gym.make(f"tactile_envs/{env_id}", assets=str(assets))
     check_env(single.unwrapped, skip_render_check=True)

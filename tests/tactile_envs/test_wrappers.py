@@ -342,3 +342,27 @@ def test_a_single_one_through_the_wrappers_of_ap_gym(assets):
     assert terminated
     assert info["episode"]["l"] == 16
     assert set(info["stats"]) >= {"scalar", "vector"}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("sparse", [False, True])
+def test_what_the_training_code_of_the_paper_looks_for(assets, sparse):
+    """APPLE (https://github.com/TimSchneider42/apple) looks for image spaces, frames and curves."""
+    env = make(assets, DEPTH.replace("train", "train-sparse") if sparse else DEPTH, render_mode="rgb_array")
+    assert isinstance(env.single_observation_space["sensor_img"], ap_gym.ImageSpace)
+    assert env.metadata["render_fps"] == 5
+    env = ap_gym.ensure_active_perception_vector_env(gym.vector.VectorWrapper(env))
+    assert env.prediction_target_space.sample() is not None
+    for _, _, done, info in drive(env, 40):
+        assert "_base_reward" not in info
+        target = info["prediction"]["target"]
+        assert (set(target) == {"target", "weight"}) if sparse else (target.shape == (ENVS,))
+        assert ("stats" in info) == done.any()
+        if done.any():
+            for values in (info["stats"]["scalar"], info["stats"]["vector"]):
+                for key in (key for key in values if key[0] != "_"):
+                    valid = values[f"_{key}"]
+                    assert np.asarray(values[key])[valid].shape[0] == valid.sum()
+            lengths = {len(curve) for curve in info["stats"]["vector"]["accuracy"]}
+            assert lengths == {env.spec.max_episode_steps}
+    assert all(picture.dtype == np.uint8 for picture in env.render())
