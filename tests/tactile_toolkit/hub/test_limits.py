@@ -6,7 +6,6 @@ import gzip
 import inspect
 import json
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import huggingface_hub
@@ -15,20 +14,13 @@ import pytest
 from tactile_toolkit.hub import calls
 from tactile_toolkit.store import remote
 from tactile_toolkit.store.remote import ASKED_WAIT_S
-from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub import client
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
-from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script, two_sets
+from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script
 
 resource = pytest.importorskip("resource")
 
 LISTING = f"/api/datasets/{BIG}*"
-
-
-@pytest.fixture
-def server(tmp_path) -> Iterator[HubServer]:
-    with two_sets(tmp_path / "root") as running:
-        yield running
 
 
 def files_below(folder: Path) -> list[Path]:

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
-from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, big_parquet, fetch, script, two_sets
-
-
-@pytest.fixture
-def server(tmp_path) -> Iterator[HubServer]:
-    with two_sets(tmp_path / "root") as running:
-        yield running
-
+from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, big_parquet, fetch, script
 
 LOAD = """
 from tactile_toolkit.errors import ToolkitError

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.hub_server import Blob, HubServer
+from tests.hub_server import Blob
 from tests.tactile_toolkit.hub.client import run_here, settings
-from tests.tactile_toolkit.hub.sets import BIG, NAME, SHARD, big_parquet, fetch, script, two_sets
+from tests.tactile_toolkit.hub.sets import BIG, NAME, SHARD, big_parquet, fetch, script
 from tests.tactile_toolkit.toy import folder_bytes
 
 CONTENT = big_parquet(rows=9)
 SHARD_NAME = "train-00000-of-00001.parquet"
-
-
-@pytest.fixture
-def server(tmp_path) -> Iterator[HubServer]:
-    with two_sets(tmp_path / "root") as running:
-        yield running
 
 
 @pytest.fixture

@@ -19,13 +19,9 @@ from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh, PrintReport, crossings
 from tactile_toolkit.mesh.crossings import self_crossing
+from tests.tactile_toolkit.mesh.solid_files import surface_of, turned
 
 Surface = tuple[np.ndarray, np.ndarray]
-
-
-def surface_of(solid: Any) -> Surface:
-    arrays = solid.to_mesh64()
-    return np.array(arrays.vert_properties)[:, :3], np.array(arrays.tri_verts).astype(np.int64)
 
 
 def report_of(surface: Surface) -> Any:
@@ -65,12 +61,12 @@ SIZES = [(64, 8), (61, 9), (100, 12), (200, 16)]
 
 
 @pytest.mark.parametrize(("along", "around"), SIZES)
-@pytest.mark.parametrize("turned", [False, True])
-def test_tubes_that_run_through_themselves_are_named(along: int, around: int, turned: bool) -> None:
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_tubes_that_run_through_themselves_are_named(along: int, around: int, is_turned: bool) -> None:
     crossing = [tube(eight, 2, along, around), tube(circle, 5, along, around)]
     for vertices, faces in crossing:
         for scale in (1, 1e-4):  # triangles a micrometre wide are none too narrow where all is as small
-            place = self_crossing(scale * (vertices @ _rotation(3) if turned else vertices), faces)
+            place = self_crossing(scale * (turned(vertices, 3) if is_turned else vertices), faces)
             assert place is not None
     report = report_of(crossing[0])
     assert (report.is_solid, report.problem) == (False, "self-crossing")
@@ -109,12 +105,6 @@ def test_a_ring_that_lies_in_itself_is_named() -> None:
     assert report_of(twice).problem == "self-crossing"
 
 
-def _rotation(seed: int) -> np.ndarray:
-    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    q *= np.sign(np.diag(r))
-    return q * np.sign(np.linalg.det(q))
-
-
 # --- compared with exact arithmetic ----------------------------------------------------------------------
 
 
@@ -147,7 +137,7 @@ BALL = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1.4))
 def test_pushed_balls_cross_where_whole_numbers_say_so(seed: int, push: float) -> None:
     rng = np.random.default_rng(seed)
-    vertices = np.asarray(BALL.vertices) @ _rotation(seed)
+    vertices = turned(np.asarray(BALL.vertices), seed)
     moved = rng.choice(len(vertices), 2, replace=False)
     vertices[moved] -= push * (1 + rng.random((2, 1))) * vertices[moved]
     vertices = np.rint(vertices * 2000 + rng.normal(size=vertices.shape) * 20)
@@ -160,8 +150,8 @@ def test_pushed_balls_cross_where_whole_numbers_say_so(seed: int, push: float) -
 def test_turning_and_scaling_change_nothing(seed: int, scale: float, depth_mm: float) -> None:
     assume(abs(depth_mm - 20) > 0.05)
     vertices, faces = pushed_sphere(depth_mm)
-    turned = (vertices @ _rotation(seed)) * scale + scale * np.random.default_rng(seed).normal(size=3)
-    assert (self_crossing(turned, faces) is not None) == (depth_mm > 20)
+    moved = turned(vertices, seed) * scale + scale * np.random.default_rng(seed).normal(size=3)
+    assert (self_crossing(moved, faces) is not None) == (depth_mm > 20)
 
 
 # --- no false alarm -------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from hypothesis import given, settings, strategies as st
 
 from tactile_toolkit.mesh import box_tree
 from tactile_toolkit.mesh.walls import FACING, thinnest_wall_mm
+from tests.tactile_toolkit.mesh.solid_files import surface_of, turned
 
 REACH_MM = 2.5
 # Limits of the definition: along the surface, along an edge, in a plane, on round surfaces.
@@ -117,18 +118,6 @@ def wall_between_edges(
         cosine = np.minimum(cosine, np.where(notch, straight, np.maximum(*sinks)))
     faced = cosine >= FACING
     return float((distance[near][faced] / cosine[faced]).min(initial=math.inf))
-
-
-def surface_of(solid: Any) -> tuple[np.ndarray, np.ndarray]:
-    arrays = solid.to_mesh64()
-    return np.array(arrays.vert_properties)[:, :3], np.array(arrays.tri_verts).astype(np.int64)
-
-
-def turned(vertices: np.ndarray, seed: int) -> np.ndarray:
-    """Return vertices rotated at random."""
-    rotation, lengths = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    rotation = rotation * np.sign(np.diag(lengths))
-    return np.asarray(vertices @ (rotation * np.sign(np.linalg.det(rotation))))
 
 
 def require_same(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -11,17 +11,9 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import Pen, PicturePlan, PictureTask, Tile, sheet
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tactile_toolkit.touch import encode_image
-
-
-def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
-    import trimesh
-
-    made = trimesh.creation.box((x_mm / 1e3, y_mm / 1e3, z_mm / 1e3))
-    return Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32))
 
 
 def chunks(png: bytes) -> list[bytes]:

@@ -8,17 +8,11 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import View
+from tests.tactile_toolkit.mesh.solid_files import box
 
 CLAY = (200, 120, 40)
 angles = st.floats(-180, 180), st.floats(5, 90)
 TOP = View(0.0, 90.0)
-
-
-def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
-    import trimesh
-
-    made = trimesh.creation.box((x_mm / 1e3, y_mm / 1e3, z_mm / 1e3))
-    return Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32))
 
 
 def lifted(mesh: Mesh, z_m: float) -> Mesh:
