@@ -294,20 +294,21 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None, *, least_px
     as :meth:`EncodedImage.size` does, and when the data is truncated, corrupt or of another size than
     ``out``. A partly decoded image is never returned.
     """
-    if out is not None and EncodedImage(data).is_jpeg:
-        EncodedImage(data).require_bounded()
+    encoded = EncodedImage(data)
+    if out is not None and encoded.is_jpeg:
+        encoded.require_bounded()
         # Errors are named below: reading the header of every image first would be slow.
         with suppress(ValueError):
             if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
                 return out
-    height, width = EncodedImage(data).size()
+    height, width = encoded.size()
     if out is not None and out.shape != (height, width, 3):
         raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
     pixels: UInt8
     try:
-        if EncodedImage(data).is_jpeg:
+        if encoded.is_jpeg:
             pixels = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px, buffer=out)
         else:
             pixels = np.array(_open_image(data).convert("RGB"))  # writable, as a JPEG is
