@@ -193,8 +193,7 @@ def _episode(name: str, values: pa.Array) -> dict[str, object]:
         numbers = _flat_rows(values)
         statistics = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
         return {**_transposed(statistics), "count": [len(values)]}
-    numbers = np.unique(np.linspace(0, len(values) - 1, _IMAGE_SAMPLES).round().astype(int)).tolist()
-    images = [values[number].as_py() for number in numbers]
+    images = [values[number].as_py() for number in media.evenly_spaced(len(values), _IMAGE_SAMPLES)]
     if name == DEPTH:
         channels = [_counted_depths(image["bytes"] for image in images)]
     else:
@@ -207,7 +206,7 @@ def _episode(name: str, values: pa.Array) -> dict[str, object]:
     statistics = [_statistics(*channel) for channel in channels]
     return {
         **{key: [[[number]] for number in column] for key, column in _transposed(statistics).items()},
-        "count": [len(numbers)],
+        "count": [len(images)],
     }
 
 

@@ -21,12 +21,13 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
+from realtouch import contact
 from realtouch.convert import conversion, picture_files
 from realtouch.formats.touch_rows import NamedImage, TouchFormat
 from realtouch.importing import cuts, import_options, source_files, source_touches, streams
 from realtouch.touches import media
 from realtouch.video import video_files, videos
-from tactile_toolkit import errors, read, store, wording
+from tactile_toolkit import errors, read, store, touch, wording
 from tactile_toolkit.columns import tables
 from tactile_toolkit.value_types import JsonDict
 
@@ -310,11 +311,27 @@ def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[Nam
         background = f"{home}/{_BACKGROUND}"
         files |= {
             **images_of_round,
-            background: media.background_of(list(images_of_round.values()), list(images_of_round)),
+            background: _background_of(list(images_of_round.values()), list(images_of_round)),
         }
         paths += images_of_round
         backgrounds += [background] * len(images_of_round)
     return conversion.with_files(index, files, [paths, backgrounds])
+
+
+def _background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) -> bytes:
+    """Return the median of some images as JPEG: the gel at rest; InputError if they differ in size.
+
+    Raises IntegrityError, with the name, for one that cannot be decoded.
+    """
+    sizes = {touch.EncodedImage(image).size() for image in images}
+    if len(sizes) > 1:
+        sizes_text = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        raise errors.InputError(
+            f"images of {sizes_text} pixels have no common background; expected one size",
+            next="make them alike with `realtouch resize`",
+        )
+    pixels = [media.decoded(image, name) for image, name in zip(images, names, strict=True)]
+    return touch.encode_image(contact.median_in_memory(np.stack(pixels)))
 
 
 def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:

@@ -12,6 +12,7 @@ from scipy.ndimage import median_filter
 from realtouch import contact, touch_options
 from realtouch.contact import ContactThresholds
 from realtouch.importing import fields, import_options, source_files, source_touches
+from realtouch.touches import media
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.columns import column_types, tables, units
@@ -355,8 +356,7 @@ class GelAtRest:
         rule: contact.ContactThresholds,
     ) -> dict[int, UInt8]:
         """Return samples by their number, cropped; the first readable one sets shape and window."""
-        numbers = np.linspace(0, recording.frames - 1, _MAX_SAMPLES).round().astype(np.int64)
-        spread = np.unique(numbers).tolist()
+        spread = media.evenly_spaced(recording.frames, _MAX_SAMPLES)
         samples: dict[int, UInt8] = {}
         step = 1
         pictures_read = pictures_of(recording, (range(number, number + 1) for number in spread), contents)

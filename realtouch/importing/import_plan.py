@@ -25,6 +25,7 @@ from realtouch.importing import (
     import_sources,
     source_files,
     source_touches,
+    stored_columns,
 )
 from tactile_toolkit import errors, store, touch, wording
 from tactile_toolkit.value_types import JsonDict
@@ -186,7 +187,7 @@ class Arranged:
     shards: Mapping[str, Sequence[source_touches.SourceTouches]]
     make_shard: import_shards.ImportTouches
     names: tuple[str, ...]
-    extras: fields.ExtraColumns
+    extras: stored_columns.ExtraColumns
     notes: Sequence[str]
 
 
@@ -204,8 +205,8 @@ def arranged(recordings: import_sources.ReadSource, spec: import_options.ImportS
     sizes = touches.listing["size"].to_pylist()
     whole = _rounds(touches, columns, spec.split)
     taken = {name for of_split in whole.values() for name in of_split}
-    extras = fields.ExtraColumns.of(touches, columns)
-    touches = fields.with_stored_columns(touches, columns, names, extras)
+    extras = stored_columns.ExtraColumns.of(touches, columns)
+    touches = stored_columns.with_stored_columns(touches, columns, names, extras)
     size = common_size(touches, read.contents, read.one_size_per_file)
     schema = import_shards.touch_schema(touches.stored.schema, names, has_clips=touches.has_clips)
     make_shard = import_shards.ImportTouches(recordings.layout, size, schema, recordings.versions)

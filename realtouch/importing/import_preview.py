@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.importing import fields, import_options, import_plan, import_sources, source_touches
+from realtouch.importing import import_options, import_plan, import_sources, source_touches, stored_columns
 from tactile_toolkit import store, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.touch import MEDIA_TYPE
@@ -158,7 +158,9 @@ def _in_words(value: JsonValue, touch: int) -> str:
     return wording.printable(str(value))[:_LONGEST_SHOWN]
 
 
-def _uses(recordings: import_sources.ReadSource, extras: fields.ExtraColumns) -> list[tuple[str, str, str]]:
+def _uses(
+    recordings: import_sources.ReadSource, extras: stored_columns.ExtraColumns
+) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = recordings.columns
     roles: dict[str | None, str] = {

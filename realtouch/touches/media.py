@@ -588,19 +588,3 @@ def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> U
             f"{name!r}: {error}",
             next="run `tactile verify` on the source, and leave the round out (`tactile select`)",
         ) from error
-
-
-def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) -> bytes:
-    """Return the median of some images as JPEG: the gel at rest; InputError if they differ in size.
-
-    Raises IntegrityError, with the name, for one that cannot be decoded.
-    """
-    sizes = {EncodedImage(image).size() for image in images}
-    if len(sizes) > 1:
-        sizes_text = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
-        raise errors.InputError(
-            f"images of {sizes_text} pixels have no common background; expected one size",
-            next="make them alike with `realtouch resize`",
-        )
-    pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
-    return encode_image(contact.median_in_memory(np.stack(pixels)))

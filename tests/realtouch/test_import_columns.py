@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 import realtouch
 from realtouch import contact
 from realtouch.importing import fields, import_sources
-from realtouch.importing.fields import ExtraColumns
 from realtouch.importing.source_touches import PictureLocation, Recording, SourceTouches, touches_of
+from realtouch.importing.stored_columns import ExtraColumns
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import decode_image, encode_image
