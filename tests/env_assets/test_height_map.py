@@ -113,7 +113,7 @@ def test_a_digit_agrees_with_a_search_over_all_triangles(assets):
     record = mnist3d.load(str(assets / "mnist3d"), "test")[3]
     found = top_surface(record, 0.0002)
     rng = np.random.default_rng(0)
-    rows, columns = (rng.integers(0, size, 200) for size in found.heights_m.shape)
+    rows, columns = (rng.integers(0, size, 60) for size in found.heights_m.shape)
     corners = record.vertices_m.astype(np.float64)[record.faces]
     low, high = corners[..., :2].min(axis=1) - 1e-9, corners[..., :2].max(axis=1) + 1e-9
     expected = []
@@ -121,7 +121,7 @@ def test_a_digit_agrees_with_a_search_over_all_triangles(assets):
         around = (low[:, 0] <= x) & (x <= high[:, 0]) & (low[:, 1] <= y) & (y <= high[:, 1])
         expected.append(searched_height(corners[around], x, y))
     np.testing.assert_allclose(found.heights_m[rows, columns], expected, rtol=0, atol=1e-8)
-    assert 20 < np.isfinite(expected).sum() < 180
+    assert 6 < np.isfinite(expected).sum() < 54
 
 
 def searched_height(corners, x: float, y: float) -> float:
