@@ -1,4 +1,4 @@
-"""``upload`` against a real server, and the way back through `datasets` and the toolkit."""
+"""``upload`` against a real server."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ import pytest
 
 from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
-from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, settings
 
@@ -26,15 +25,6 @@ NAME = "someone/stars"
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
 )
-
-
-def run(command: str, *arguments: object, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run a command line in a process of its own."""
-    environment = {**environment, "PYTHONPATH": str(Path.cwd())}
-    words = program(command, *arguments)
-    return subprocess.run(
-        words, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S
-    )
 
 
 @pytest.fixture

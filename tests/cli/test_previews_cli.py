@@ -1,4 +1,4 @@
-"""``tactile preview`` of data sets of three kinds and of files."""
+"""``tactile preview`` of data sets and of files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of scenes: their places on the sheet, and the places of objects."""
+"""Pictures of scenes that have no placements."""
 
 from __future__ import annotations
 
