@@ -71,7 +71,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str, needed: str = "") -> 
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
     stated = mesh.SolidDataset.classes_of(shards, name, KINDS["mnist3d"].made_by, None)
-    kind = kinds.DatasetKind.of_columns(read.column_names(table.schema), stated or ())
+    kind = kinds.DatasetKind.of_columns(read.column_names(table.schema), lambda: stated or ())
     expected = KINDS.get(needed or name)
     names = getattr(kind, "class_names", ()) if stated is None else stated
     accepts_unknown = needed or expected is None or not expected.published

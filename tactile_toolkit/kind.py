@@ -283,10 +283,13 @@ class DatasetKind:
         return next((kind for kind in cls.installed() if known in kind.published), None)
 
     @classmethod
-    def of_columns(cls, names: Collection[str], class_names: tuple[str, ...]) -> DatasetKind | None:
+    def of_columns(
+        cls, names: Collection[str], class_names: Callable[[], tuple[str, ...]]
+    ) -> DatasetKind | None:
         """Return the kind of rows by a column that only it has, or of meshes by the published classes.
 
-        ``names`` are dotted names of columns, ``class_names`` those that are stored with the rows.
+        ``names`` are dotted names of columns. ``class_names`` gives those that are stored with the rows; they
+        may be damaged, and are read only if no column decides.
         """
         own = {name.partition(".")[0] for name in names}
         for kind in cls.installed():
@@ -295,7 +298,8 @@ class DatasetKind:
         if cls.needs[0] not in names:
             return None
         known = (kind for kind in cls.installed() if kind.published and kind.class_names)
-        return next((kind for kind in known if kind.class_names == class_names), None)
+        stored = class_names()
+        return next((kind for kind in known if kind.class_names == stored), None)
 
     def load(self, name: object, split: str) -> Any:
         """Open a split as the kind's package does."""

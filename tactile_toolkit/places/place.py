@@ -440,7 +440,7 @@ def _kind_of(shard: read.Shard) -> DatasetKind | None:
     """Return the kind of the rows of a file; None if it is damaged, which reading the rows reports."""
     with suppress(errors.IntegrityError):
         names = read.column_names(shard.schema)
-        return DatasetKind.of_columns(names, read.class_names(shard.schema, ()))
+        return DatasetKind.of_columns(names, partial(read.class_names, shard.schema, ()))
     return None
 
 
