@@ -20,7 +20,7 @@ from realtouch import kind, touch_options
 from realtouch.checks import rules, verification
 from realtouch.checks.sections import PlacedRow, RoundFacts, Section, TouchFacts, check_section
 from realtouch.touch_options import CheckLimits
-from realtouch.touches import damage, datasets, loading, schema, stored_round
+from realtouch.touches import damage, datasets, loading, schema, stored_values
 from realtouch.touches.rounds import TouchSingleRound
 from tactile_toolkit import errors, pictures, places, read, run, wording
 from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
@@ -121,7 +121,7 @@ def _sections_of(
 ) -> tuple[int, Iterator[Section]]:
     """Return the number of touches, and their sections as they are checked; adds unreadable rows."""
     shards = [shard for of_split in files.values() for shard in of_split]
-    touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
+    touches = sum(int(stored_values.touch_counts(shard).sum()) for shard in shards)
     frames = max(_MIN_FRAMES, MAX_PICTURES // max(touches, 1))
     is_rendered = schema.origin_of(shards[0].schema, shards[0].manifest()) == "synthetic"
     check = partial(check_section, limits=limits, frames=frames, is_rendered=is_rendered)

@@ -12,7 +12,7 @@ from functools import partial
 
 from realtouch import kind
 from realtouch.convert import conversion, picture_files
-from realtouch.touches import damage, loading, media, schema, stored_round
+from realtouch.touches import damage, loading, media, schema, stored_round, stored_values
 from tactile_toolkit import cards, errors, places, read, run, store, wording
 from tactile_toolkit.touch import EncodedImage, decode_image
 
@@ -278,7 +278,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     for shard in shards:
         for index in range(len(shard.group_starts) - 1):
             with suppress(errors.IntegrityError):
-                counts.update(stored_round.stored_touch_counts(shard, index).tolist())
+                counts.update(stored_values.touch_counts(shard, index).tolist())
     return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
 

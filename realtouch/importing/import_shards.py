@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import islice
+from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
@@ -312,7 +313,7 @@ def clip_of(
     else:
         time_s = stated.to_numpy() - stated[0].as_py()
     jpegs = pictures
-    if not all(EncodedImage(picture).is_jpeg for picture in pictures):
+    if not all(map(attrgetter("is_jpeg"), map(EncodedImage, pictures))):
         notes.append("pictures encoded as JPEG")
         jpegs = list(map(media.as_jpeg, pictures))
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAli
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact
-from realtouch.touches import media, rounds, schema, stored_round
+from realtouch.touches import media, rounds, schema, stored_round, stored_values
 from tactile_toolkit import checked_fields, errors, kind, read, run, touch, wording
 from tactile_toolkit.value_types import AnyArray, Bool, Float64, Int64, UInt8
 
@@ -64,82 +63,7 @@ class TouchDataset(read.RecordDataset[R]):
     @property
     def touch_counts(self) -> Int64:
         """T of each round, shape (len,), int64; reads one small column, or none if its type fixes T."""
-        return self._stored_counts[self.row_numbers]
-
-    @property
-    def _stored_counts(self) -> Int64:
-        return self.table.per_shard("touches", lambda source: [stored_round.stored_touch_counts(source)])
-
-    @property
-    def touch_starts(self) -> Int64:
-        """Number of the first touch of each stored row, shape (stored rows + 1,), int64."""
-        return np.concatenate([[0], np.cumsum(self._stored_counts)])
-
-    def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
-        """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
-
-        Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
-        height of the plate is known, it is always taken.
-        """
-
-        def heights_m(row: stored_round.StoredRound, source: schema.ContactSource) -> Float64:
-            z_m = row.readable(row.contact_z_m)
-            is_known = source.heights is not None and source.heights.plate == "known"
-            return contact.contact_heights_m(z_m, recalibrate_z or is_known, row.plate_z_m(source.heights))
-
-        counting = [touch.HeightRule.PLATE_COLUMN, "pos_in_cell", "video_length_frames"]
-        return self._per_touch(f"heights {recalibrate_z}", counting, schema.POSITION_COLUMNS, heights_m)
-
-    def known_positions_m(self) -> Float64:
-        """Read the intended position of every stored touch; NaN if it cannot be read.
-
-        Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
-        """
-
-        def positions_m(row: stored_round.StoredRound, _source: schema.ContactSource) -> Float64:
-            return row.readable(row.intended_positions, (2,))
-
-        return self._per_touch("positions", (), ["pos_in_cell"], positions_m, (2,))
-
-    def stated_contact(self) -> Float64:
-        """Read the column of contact of every stored touch: 1, 0, or NaN where it cannot be read.
-
-        Shape (touches of all stored rows,).
-        """
-        return self._per_touch(
-            "contact", (), [schema.CONTACT_COLUMN], lambda row, _source: row.readable(row.stated_contact)
-        )
-
-    def _per_touch(
-        self,
-        key: str,
-        counting: Sequence[str],
-        columns: Sequence[str],
-        known: Callable[[stored_round.StoredRound, schema.ContactSource], Float64],
-        shape: tuple[int, ...] = (),
-    ) -> Float64:
-        """Join the values of the touches of each stored row; reads a few columns.
-
-        Values follow from any one of ``columns``; they are NaN in files without one. ``counting`` are read,
-        too.
-        """
-
-        def of_source(source: read.RowSource) -> list[Float64]:
-            types = read.column_types(source.schema)
-            if not types.keys() & set(columns):
-                return [np.full((int(stored_round.stored_touch_counts(source).sum()), *shape), np.nan)]
-            contact_source = schema.ContactSource.of(types)
-            rows = stored_round.stored_rows([source], [*counting, *columns])
-            return [known(row, contact_source) for row in rows]
-
-        values = self.table.per_shard(key, of_source)
-        if len(values) != self.touch_starts[-1]:
-            raise errors.IntegrityError(
-                f"{wording.with_count(len(values), 'poses')} of touches for {self.touch_starts[-1]:,} "
-                "touches; expected one each",
-                next="run `tactile verify`, which names the rounds",
-            )
-        return values
+        return np.diff(stored_values.starts(self.table))[self.row_numbers]
 
     def contact_sources(self) -> list[schema.ContactSource]:
         """Return how contact of each round is known; joined sets may differ."""
@@ -326,12 +250,12 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
     @property
     def _stored_numbers(self) -> Int64:
         rows = self.dataset.row_numbers[self.round_positions]
-        numbers: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
+        numbers: Int64 = stored_values.starts(self.table)[rows] + self.touch_indices
         return numbers
 
     @property
     def _stored_starts(self) -> Int64:
-        return self.dataset.touch_starts[self.table.part_starts]
+        return stored_values.starts(self.table)[self.table.part_starts]
 
     @property
     def labels(self) -> Int64:
@@ -374,7 +298,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         if name == rounds.INDEX:
             return self.touch_indices
         if name in _POSITION:
-            of_view: AnyArray = self.dataset.known_positions_m()[self._stored_numbers]
+            of_view: AnyArray = stored_values.positions_m(self.table)[self._stored_numbers]
             return of_view[:, _POSITION.index(name)]
         return self.dataset.column(name)[self.round_positions]
 
@@ -419,11 +343,18 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         IntegrityError
             The height of a touch of this view cannot be read; names file, row and touch.
         """
-        chosen = self.dataset.known_heights_m(recalibrate_z)[self._stored_numbers]
+        heights_m = stored_values.heights_m(self.table, recalibrate_z)
+        return self._chosen_values(heights_m, stored_round.StoredRound.contact_z_m)
+
+    def _chosen_values(
+        self, values: Float64, reread: Callable[[stored_round.StoredRound, int], AnyArray]
+    ) -> Float64:
+        """Return the values of these touches, given those of all; one that is NaN is read again."""
+        chosen: Float64 = values[self._stored_numbers]
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
-            self.dataset[position].row.contact_z_m(touch)  # states what is wrong
+            reread(self.dataset[position].row, touch)  # states what is wrong
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
@@ -482,11 +413,8 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
     def _contact_by(self, source: schema.ContactSource, recalibrate_z: bool) -> Bool:
         """Return whether there is contact in each touch, shape (len,), all of sets that state it this way."""
         if source.has_column:
-            stated = self.dataset.stated_contact()[self._stored_numbers]
-            if np.isnan(stated).any():
-                position, touch = self.locate(int(np.argmax(np.isnan(stated))))
-                self.dataset[position].row.stated_contact(touch)  # states what is wrong
-            return stated > 0
+            stated = stored_values.stated_contact(self.table)
+            return self._chosen_values(stated, stored_round.StoredRound.stated_contact) > 0
         if source.heights is not None:
             return np.asarray(self.heights_m(recalibrate_z) >= source.heights.min_height_m)
         by_pictures: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact

@@ -28,8 +28,6 @@ _CONTACT_END = "touch_end_time_rel"
 _POSE = schema.POSE_COLUMN["single"]
 _POSE_SEQUENCE = schema.POSE_COLUMN["seq"]
 
-# Columns with an entry for each touch; pictures come last, as they take much memory.
-_COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *schema.MEDIA_COLUMN.values())
 # The first of these that exists gives the number of touches; the last ones only if no other column was read.
 _COUNTED = (
     "pos_in_cell",
@@ -501,25 +499,3 @@ def stored_rows(
 def rows_of(blocks: Iterable[read.RowGroup]) -> Iterator[StoredRound]:
     """Yield the rows of some blocks."""
     return (StoredRound(block, row) for block in blocks for row in range(len(block.table)))
-
-
-def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
-    """Return the numbers of touches of some row groups, or of all, shape (rows,).
-
-    If the type of the column fixes the number, no row is read.
-    """
-    types = read.column_types(source.schema)
-    chosen = groups or range(len(source.group_starts) - 1)
-    name = next(name for name in _COUNTING if name in types)
-    if pa.types.is_fixed_size_list(types[name]):
-        rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
-        return np.full(rows, types[name].list_size, np.int64)
-    column = name
-    if name in schema.MEDIA_COLUMN.values() and isinstance(source, read.Shard):
-        # The names of pictures are counted: pictures fill the memory.
-        leaf = f"{name}.list.element.path"
-        if any(chunk.path_in_schema == leaf for chunk in source.column_chunks()):
-            column = leaf
-    blocks = (block for index in chosen for block in source.blocks(index, [column]))
-    counts = [pc.fill_null(pc.list_value_length(block.arrow(name)), 0) for block in blocks]
-    return np.concatenate([of_block.to_numpy() for of_block in counts] or [np.zeros(0)]).astype(np.int64)
