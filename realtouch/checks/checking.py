@@ -94,12 +94,7 @@ def check(
     damaged: list[rules.Fault] = []
     touches, unread_sections = _sections_of(files, chosen, damaged, workers)
     total = sum(len(shard) for shards in files.values() for shard in shards)
-    sections = []
-    done = 0
-    for section in unread_sections:
-        sections.append(section)
-        done += len(section.rounds)
-        on_progress(done, total)
+    sections = list(_counted(unread_sections, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += all_comparisons(sections, chosen)
     by_rule: dict[str, list[rules.Fault]] = defaultdict(list)
@@ -126,6 +121,16 @@ def _sections_of(
     is_rendered = schema.origin_of(shards[0].schema, shards[0].manifest()) == "synthetic"
     check = partial(check_section, limits=limits, frames=frames, is_rendered=is_rendered)
     return touches, run.in_threads(check, _in_sections(_placed_rows(files, damaged)), workers)
+
+
+def _counted(
+    sections: Iterable[Section], total: int, on_progress: Callable[[int, int], None]
+) -> Iterator[Section]:
+    done = 0
+    for section in sections:
+        yield section
+        done += len(section.rounds)
+        on_progress(done, total)
 
 
 def _placed_rows(

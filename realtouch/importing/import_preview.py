@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from os import PathLike, fspath
 
 import numpy as np
@@ -86,24 +87,13 @@ def preview_import(
     spec = spec or import_options.ImportSpec()
     recordings = import_sources.find_source(fspath(source), spec)
     touches = import_plan.arranged(recordings, spec)
+    parts, read = _checked(touches)
+    every = [part for of_split in parts.values() for part in of_split]
+    usable = {split: sum(int(part.is_usable.sum()) for part in of_split) for split, of_split in parts.items()}
+    rounds = sum(len(part.listing.filter(pa.array(part.is_usable))["round"].unique()) for part in every)
     messages: dict[str, list[str]] = {}
-    usable: dict[str, int] = {}
-    rounds = read = 0
-    read_bytes = _PREVIEW_BYTES
-    parts = list[source_touches.SourceTouches]()
-    for split, of_split in touches.shards.items():
-        usable[split] = 0
-        for part in of_split:
-            ends = np.cumsum(part.listing["size"].to_numpy())
-            count = int(np.searchsorted(ends, read_bytes, side="right"))
-            read_bytes -= int(ends[count - 1]) if count else 0
-            read += count
-            checked = part.with_problems(touches.make_shard.problems_of_pictures(part[:count]))
-            for _, name, error in checked.problems():
-                messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
-            usable[split] += int(checked.is_usable.sum())
-            rounds += len(checked.listing.filter(pa.array(checked.is_usable))["round"].unique())
-            parts.append(checked)
+    for _, name, error in chain.from_iterable(part.problems() for part in every):
+        messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
     notes = [*recordings.notes, *touches.notes]
     too_many = import_plan.too_many_left_out(touches, spec.max_left_out)
     if too_many is not None:
@@ -114,7 +104,7 @@ def preview_import(
     size = touches.make_shard.image_size
     if size is not None:
         pictures = f"{size[1]} x {size[0]} pixels, {pictures}"
-    total = sum(map(len, parts))
+    total = sum(map(len, every))
     if read < total:
         notes.append(f"the pictures of {read:,} of {wording.with_count(total, 'touches')} were read")
     return ImportPreview(
@@ -127,11 +117,27 @@ def preview_import(
         touches.names,
         pictures,
         _uses(recordings, touches.extras),
-        _first(touches, parts),
+        _first(touches, every),
         list(recordings.streams),
         [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
         notes,
     )
+
+
+def _checked(touches: import_plan.Arranged) -> tuple[dict[str, list[source_touches.SourceTouches]], int]:
+    """Read pictures up to a limit; return the touches of each split with problems, and how many were read."""
+    parts: dict[str, list[source_touches.SourceTouches]] = {}
+    read = 0
+    left_bytes = _PREVIEW_BYTES
+    for split, of_split in touches.shards.items():
+        parts[split] = []
+        for part in of_split:
+            ends = np.cumsum(part.listing["size"].to_numpy())
+            count = int(np.searchsorted(ends, left_bytes, side="right"))
+            left_bytes -= int(ends[count - 1]) if count else 0
+            read += count
+            parts[split].append(part.with_problems(touches.make_shard.problems_of_pictures(part[:count])))
+    return parts, read
 
 
 def _first(
