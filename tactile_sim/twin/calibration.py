@@ -10,7 +10,7 @@ import numpy as np
 
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
-from tactile_sim.twin.fitting import Fit, Steps
+from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader, training_steps
@@ -22,7 +22,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.value_types import Bool, Int64
 from tactile_toolkit.wording import with_count
 
-_NAMED_LIGHT_DRIFT, _MAX_LIGHT_DRIFT = 0.01, 0.15  # of the gains of frames, root mean square
+_MAX_LIGHT_DRIFT = 0.15  # of the gains of frames, root mean square
 _SURE_SCALE = 2.5  # standard deviations
 _MOST_OFF = 0.5  # share of touches that are off: beyond it, all are searched near their stated poses
 _MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
@@ -153,7 +153,7 @@ def _wandering_light(fit: Fit) -> list[Mistake]:
             f"the light wanders by {drift:.1%} from frame to frame; expected at most {_MAX_LIGHT_DRIFT:.0%}",
             next="switch off the automatic exposure and white balance of the camera, and record again",
         )
-    if drift < _NAMED_LIGHT_DRIFT:
+    if drift < MIN_DRIFT:
         return []
     detail = (
         f"the light wanders by {drift:.1%} from frame to frame, which the twin corrects; better switch off "

@@ -41,7 +41,7 @@ _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
 _NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
-MIN_DRIFT = 0.006
+MIN_DRIFT = 0.01
 """Root mean square of the gains of frames, less 1, below which all of them count as 1."""
 
 FIRST_DRIFT = 0.015
