@@ -349,6 +349,28 @@ def test_a_name_that_is_not_text_is_refused(words, tmp_path, monkeypatch, capsys
     assert said == "error: 'caf\\udce9' is not valid UTF-8; next: give another name\n"
 
 
+@pytest.mark.thorough
+def test_a_library_that_does_not_fit_into_memory_is_named(tmp_path):
+    code = """
+    import resource, sys
+    from pathlib import Path
+    from cli.tactile import main
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + 32_000_000
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    sys.argv = ["tactile", "info", sys.argv[1]]
+    sys.stderr = sys.stdout
+    try:
+        main()
+    except SystemExit as leave:
+        print(leave.code)
+    """
+    said = printed_by(code, tmp_path).splitlines()
+    assert said[-1] == "2"
+    assert said[0].startswith("error: there is not enough memory; next: ")
+    assert len(said) == 2
+
+
 def test_messages_about_refused_values_are_plain(capsys):
     assert call("mnist3d", "generate", "--split-by", "foo", "--out", "never") == 2
     said = capsys.readouterr().err

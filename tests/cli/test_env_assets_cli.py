@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 import mnist3d
 from tests.command_line import run
 
@@ -32,3 +34,21 @@ def test_every_length_reaches_the_wrench():
     options = (word for name, length in lengths.items() for word in (f"--{name.replace('_', '-')}", length))
     spec = json.loads(run("env-assets", "wrench", *options, "--dry-run", "--json").stdout)["spec"]
     assert {name: spec[name] for name in lengths} == lengths
+
+
+@pytest.mark.thorough
+def test_a_wrench_is_exported_for_printers_and_simulators(tmp_path):
+    """By the export of all data sets of meshes; the mass in the simulator is that of the report."""
+    words = ("--opening-mm", 10, "--second-opening-mm", 13, "--out", tmp_path / "wrench", "--json")
+    made = run("env-assets", "wrench", *words)
+    mass_kg = 1e-3 * json.loads(made.stdout)["mass_g"]
+    for kind, file in (("stl", "stl"), ("mjcf", "xml"), ("urdf", "urdf")):
+        done = run("tactile", "export", tmp_path / "wrench", "--format", kind, "--out", tmp_path / kind)
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / kind / f"train-wrench-00000.{file}").is_file()
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf" / "train-wrench-00000.xml"))
+    assert model.body_mass.sum() == pytest.approx(mass_kg, rel=1e-3)
+    missing = run("tactile", "export", tmp_path / "nowhere", "--out", tmp_path / "none")
+    assert missing.exit_code == 2
+    assert not (tmp_path / "none").exists()

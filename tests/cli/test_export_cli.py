@@ -136,6 +136,32 @@ def test_other_files_are_refused_unless_overwritten(
     assert folder_bytes(tmp_path) != before
 
 
+@pytest.mark.thorough
+def test_broken_meshes_are_named_and_the_rest_is_written(
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A data set of others, in which one mesh has a hole."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    (source,) = (digits_set / "data").glob("test-*.parquet")
+    table = parquet.ParquetFile(source).read(use_threads=False)
+    faces = table.column("mesh.faces").to_pylist()
+    faces[4] = faces[4][3:]
+    column = table.schema.get_field_index("mesh.faces")
+    kind = table.schema.field(column)
+    broken = table.set_column(column, kind, pa.array(faces, kind.type))
+    parquet.write_table(broken, tmp_path / "broken.parquet")
+    name = f"train-{table['label'][4].as_py()}-{table['id'][4].as_py():05d}"
+    for plate in ((), ("--plate", "250x250")):
+        out = tmp_path / f"out{len(plate)}"
+        assert call("tactile", "export", tmp_path / "broken.parquet", *plate, "--out", out) == 1
+        printed = capsys.readouterr()
+        assert "not-manifold" in printed.err
+        assert "9 files" in printed.out if not plate else "wrote 9 objects" in printed.out
+        assert f"failed: {name}" in printed.err
+
+
 def test_tables_for_other_libraries(
     digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,6 +193,58 @@ def test_tables_for_other_libraries(
             np.testing.assert_array_equal(mesh.faces, digit.faces)
         size = [row[name] for name in ("size_x_m", "size_y_m", "size_z_m")]
         np.testing.assert_allclose(size, digit.mesh.extents)
+
+
+@pytest.mark.thorough
+def test_tables_are_a_data_set_folder(
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "flat"
+    words = ("tactile", "export", digits_set, "--format", "flat", "--out", out, "--workers", "1", "-q")
+    assert call(*words) == 0
+    before = folder_bytes(out)
+    assert {"README.md", "manifest.json", "previews/tables.png"} <= set(before)
+    for command, *further in (("verify",), ("card",), ("info", "--json")):
+        assert call("tactile", command, out, *further) == 0, capsys.readouterr().err
+    assert folder_bytes(out) == before, "card and checks agree with the export"
+    assert '"operation": "export"' in capsys.readouterr().out
+    card = before["README.md"].decode()
+    assert "license: mit" in card, "as drawn digits are"
+    assert "MIT, as the toolkit: the data set contains no one's handwriting." in card
+    table = out / "data" / "holdout-00000-of-00001.parquet"
+    table.write_bytes(table.read_bytes()[:-9])
+    assert call("tactile", "verify", out) == 3
+    assert "holdout-00000-of-00001.parquet: sha256 is" in capsys.readouterr().err
+    assert call(*words) == 0
+    assert folder_bytes(out) == before
+    assert call("mnist3d", "validate", out) == 2
+    assert "was made by `export` for other programs" in capsys.readouterr().err
+
+
+@pytest.mark.thorough
+def test_scenes_keep_the_positions_of_objects(tmp_path: Path) -> None:
+    import datasets
+
+    import starstruck_gen
+
+    scenes = tmp_path / "scenes"
+    making = ("--scenes", "train=3", "--workers", "1", "--quiet", "--out", scenes)
+    assert command_line.call("starstruck", "generate", *making) == 0
+    out = tmp_path / "flat"
+    assert command_line.call("tactile", "export", scenes, "--format", "flat", "--out", out, "-q") == 0
+    rows = datasets.load_dataset(str(out), split="train")
+    for row, scene in zip(rows, starstruck_gen.load(scenes, split="train"), strict=True):
+        stored = [(entry["shape"], entry["x_m"], entry["y_m"]) for entry in row["placements"]]
+        assert stored == [(placed.shape, placed.x_m, placed.y_m) for placed in scene.placements]
+        assert row["star_count"] == scene.star_count
+        assert row["mesh"].to_mesh().volume == pytest.approx(scene.mesh.volume, rel=1e-6)
+    assert command_line.call("tactile", "verify", out) == 0
+    assert command_line.call("tactile", "info", out) == 0
+    wrench = tmp_path / "wrench"
+    assert command_line.call("env-assets", "wrench", "--out", wrench, "-q") == 0
+    tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
+    assert command_line.call("tactile", "export", wrench, *tables) == 0
+    assert command_line.call("tactile", "verify", tmp_path / "wrenches") == 0
 
 
 @pytest.mark.thorough

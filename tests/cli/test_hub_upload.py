@@ -1,4 +1,4 @@
-"""``upload`` against a real server."""
+"""``upload`` against a real server, and the way back through `datasets` and the toolkit."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import pytest
 
 from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
+from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.exchange.upload_client import logged_in
-from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 
 pty = pytest.importorskip("pty")
 
@@ -25,6 +26,15 @@ NAME = "someone/stars"
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
 )
+
+
+def run(command: str, *arguments: object, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run a command line in a process of its own."""
+    environment = {**environment, "PYTHONPATH": str(Path.cwd())}
+    words = program(command, *arguments)
+    return subprocess.run(
+        words, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
 
 
 @pytest.fixture
@@ -37,6 +47,65 @@ def folder(scenes_set, tmp_path) -> Path:
 def server(monkeypatch) -> Iterator[HubServer]:
     with hub() as running, logged_in(running, running.account("someone"), monkeypatch):
         yield running
+
+
+THERE_AND_BACK = """
+import datasets, hashlib, mnist3d
+datasets.disable_progress_bars()
+def digest(columns):
+    return hashlib.sha256(b''.join(
+        bytes(memoryview(__import__('numpy').asarray(value, dtype).tobytes())) for value, dtype in columns
+    )).hexdigest()
+def of_rows(rows):
+    return digest([
+        pair for row in rows
+        for pair in ((row['mesh.vertices'], 'float32'), (row['mesh.faces'], 'int32'))
+    ])
+held = datasets.load_dataset('{name}', split='test')
+print(len(held), of_rows(held))
+streamed = list(datasets.load_dataset('{name}', split='test', streaming=True))
+print(len(streamed), of_rows(streamed))
+ours = list(mnist3d.load('{name}', split='test'))
+print(len(ours), digest([
+    pair for record in ours for pair in ((record.vertices_m, 'float32'), (record.faces, 'int32'))
+]))
+here = list(mnist3d.load({folder!r}, split='test'))
+print(len(here), digest([
+    pair for record in here for pair in ((record.vertices_m, 'float32'), (record.faces, 'int32'))
+]))
+"""
+
+
+def there_and_back(server: HubServer, home: Path, folder: Path, name: str, more: str) -> list[str]:
+    """Load a split from the Hub in three ways, and from the folder; return what each printed, and `more`."""
+    script = THERE_AND_BACK.format(name=name, folder=str(folder)) + more
+    environment = settings(server, home, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
+    done = run_python(script, environment, home)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.thorough
+def test_the_whole_way(digits_set, tmp_path):
+    """Upload and load: real processes, nothing but HF_ENDPOINT set; the same meshes, byte for byte."""
+    with hub() as server:
+        token = server.account("someone")
+        environment = settings(server, tmp_path, token)
+        sent = run("tactile", "upload", digits_set, "someone/digits", "--yes", environment=environment)
+        assert sent.returncode == 0, sent.stderr
+        assert token not in sent.stdout + sent.stderr
+        lines = [line.strip() for line in sent.stdout.splitlines()]
+        assert f"{server.endpoint}/datasets/someone/digits" in lines
+        assert lines[-2:] == ["import mnist3d", 'data = mnist3d.load("someone/digits", split="test")']
+        card = server.repository("someone/digits").head.files["README.md"].content.decode()
+        with_datasets, with_toolkit, *_ = re.findall(r"```python\n(.*?)```", card, flags=re.DOTALL)
+        code = with_datasets + with_toolkit
+        *ways, first, second = there_and_back(server, tmp_path, digits_set, "someone/digits", code)
+    assert len(ways) == 4
+    assert len(set(ways)) == 1
+    assert ways[0].startswith("10 ")
+    assert first
+    assert second
 
 
 def test_upload_lists_its_files_and_sends_none_twice(server, folder, capsys):

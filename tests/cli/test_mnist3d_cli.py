@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import mnist3d
 from tests import command_line
 
 SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1")
@@ -31,6 +32,13 @@ def test_generate_ends_with_a_summary_and_a_next_step_or_with_one_document(tmp_p
     assert split["label"] == {str(digit): 1 for digit in range(10)}
     assert document["complete"] is True
     assert document["spec"]["solid"]["target_vertices"] == 2000
+
+
+def test_info(digits_set, capsys):
+    assert call("tactile", "info", digits_set) == 0
+    assert "solid.target_vertices = 2000" in capsys.readouterr().out
+    assert call("tactile", "info", digits_set, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["splits"][0]["rows"] == 10
 
 
 def test_validate_a_folder(digits_set, capsys):
@@ -65,6 +73,22 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
     assert document["meshes"][0]["name"] == bad.name
     assert document["meshes"][0]["is_solid"] is False
     assert document["meshes"][0]["thinnest_wall_mm"] is None
+
+
+@pytest.mark.thorough
+def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
+    arguments = ("mnist3d", "generate", "--source", "folder", "--images", shared / "digits" / "png", *SMALL)
+    assert call(*arguments, "--out", tmp_path / "digits") == 0
+    digits = mnist3d.load(str(tmp_path / "digits"), "test")
+    assert np.bincount(digits.labels).tolist() == [1] * 10
+    assert set(digits.writers.tolist()) <= {1, 2, 4, 5, 6}
+
+
+@pytest.mark.thorough
+def test_real_mnist(shared, tmp_path):
+    arguments = ("mnist3d", "generate", "--source", "mnist", "--images", shared / "mnist", *SMALL)
+    assert call(*arguments, "--out", tmp_path / "digits", "--quiet") == 0
+    assert len(mnist3d.load(str(tmp_path / "digits"), "test")) == 10
 
 
 def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):

@@ -49,6 +49,22 @@ def test_a_folder_whose_name_begins_with_a_tilde_is_not_the_home_folder(tmp_path
     assert Path(open_folder(parse_path(text)).address()) == meant  # read twice, as commands do
 
 
+@pytest.mark.thorough
+def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(home))
+    small = ("--scenes", "train=3", "--workers", 1, "--quiet")
+    assert call("starstruck", "generate", "--out", "./~", *small) == 0
+    assert call("tactile", "verify", "./~", "--quiet") == 0
+    assert call("tactile", "preview", "./~", "--draw", "sheet", "--out", "./~p", "--quiet") == 0
+    assert call("tactile", "gallery", "./~", "--out", "./~g", "--quiet") == 0
+    assert call("env-assets", "wrench", "--out", "./~w", "--quiet") == 0
+    assert not any(home.iterdir())
+    assert {each.name for each in tmp_path.iterdir()} == {"home", "~", "~p", "~g", "~w"}
+
+
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
     assert SceneOptions().spec() == SceneSpec()
     assert TrainConfig.read(None, {}) == TrainConfig()

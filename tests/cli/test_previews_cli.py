@@ -1,4 +1,4 @@
-"""``tactile preview`` of data sets and of files."""
+"""``tactile preview`` of data sets of three kinds and of files."""
 
 from __future__ import annotations
 
@@ -18,6 +18,29 @@ from tests.realtouch import factories
 def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = factories.seq_rows([factories.make_round(index, 3, (64, 48)) for index in range(2)])
     return factories.write_set(tmp_path_factory.mktemp("clips"), {"train": rows}, "seq")
+
+
+@pytest.mark.thorough
+def test_pictures_are_those_of_the_dry_run(
+    digits_set: Path, scenes_set: Path, clips: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments, names in (
+        ((digits_set, "--draw", "sheet", "--split", "test"), ["digits-test-sheet.png"]),
+        ((scenes_set, "--ids", "0,5", "--split", "train"), ["scenes-train-sheet.png"]),
+        ((clips, "--draw", "grid"), [f"{clips.name}-train-round-0-grid.png"]),
+    ):
+        assert call("tactile", "preview", *arguments, "--dry-run", "--json") == 0
+        document = json.loads(capsys.readouterr().out)
+        assert [picture["file"] for picture in document["pictures"]] == names
+        assert document["folder"] == "previews"
+        assert call("tactile", "preview", *arguments, "--dry-run") == 0
+        assert "would write" in capsys.readouterr().out
+        assert not (tmp_path / "previews" / names[0]).exists()
+        assert call("tactile", "preview", *arguments) == 0
+        assert f"previews/{names[0]}: " in capsys.readouterr().out
+        assert (tmp_path / "previews" / names[0]).read_bytes().startswith(b"\x89PNG")
+    assert len(list((tmp_path / "previews").iterdir())) == 3
 
 
 @pytest.mark.thorough

@@ -14,6 +14,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.copies import drawn_parts
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
+from tests.processes import start_held
 from tests.realtouch import factories
 
 ALONE = ("--workers", 1, "-q")
@@ -121,6 +122,27 @@ def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
             assert call("tactile", command, folder, *words, *ALONE) == 2
             assert "no object with " in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.thorough
+def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
+    folder = _made("mnist3d", tmp_path / "all")
+    assert call("tactile", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0
+    one, two, out = tmp_path / "part-1", tmp_path / "part-2", tmp_path / "out"
+    process = start_held("tactile", 1, tmp_path / "marker", "merge", one, two, "--out", out, "--workers", 1)
+    process.kill()
+    process.communicate()
+    assert call("tactile", "merge", one, two, "--out", out, "--workers", 1) == 0
+    assert "made 5 digits in " in capsys.readouterr().out
+    assert call("tactile", "verify", out, "-q") == 0
+    manifest = read_manifest(open_folder(str(one)))
+    assert manifest is not None
+    file = one / manifest.shards[0].shard.data_path
+    content = bytearray(file.read_bytes())
+    content[len(content) // 3] ^= 1
+    file.write_bytes(content)
+    assert call("tactile", "merge", one, two, "--out", tmp_path / "bad", *ALONE) == 3
+    assert file.name in capsys.readouterr().err
 
 
 def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):

@@ -138,6 +138,14 @@ def test_interrupted_run_continues_to_the_same_bytes(unbroken, tmp_path, workers
     assert finished, "a finished shard was made again"
 
 
+@pytest.mark.thorough
+def test_writer_splits_share_no_writer(tmp_path):
+    spec = DigitSetSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
+    generate(spec, str(tmp_path / "set"))
+    homes = [set(mnist3d.load(str(tmp_path / "set"), split).writers.tolist()) for split in SPLITS]
+    assert sum(map(len, homes)) == len(set().union(*homes)) > 0
+
+
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(("per_class", "splits", "rows"), [(1, ("train", "test"), 20), (None, SPLITS, 100)])
 def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, rows):

@@ -18,6 +18,7 @@ import pytest
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.catalog import RowFilter
+from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.printing import ExportOptions
 from tactile_toolkit.printing.exports import export_files, write_plates
 from tactile_toolkit.printing.file_export import objects_of
@@ -204,3 +205,13 @@ def test_a_drawing_slices_after_one_command(draw: Callable[[], Any], shape: Any,
     assert top_mm == pytest.approx(seen.size_mm[2], abs=LAYER_MM)
     (counts,) = repairs_in(out, tmp_path).values()
     assert set(counts) == {0}
+
+
+@pytest.mark.thorough
+def test_the_check_sees_a_broken_file(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
+    """The assertions above fail for a surface from which three triangles are missing."""
+    whole = Mesh.of(digits[0]).on_plate()
+    write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))
+    (seen,) = seen_in(tmp_path / "broken.stl")
+    assert "manifold = no" in seen.complaints
+    assert any(complaint.startswith("open_edges") for complaint in seen.complaints)

@@ -21,10 +21,12 @@ from realtouch.convert.conversion import Conversion, RowChoice, plan_conversion
 from realtouch.convert.selection import KeepTouches
 from realtouch.touches.loading import Source
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.touch import decode_image, resized
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
+from tests.tactile_toolkit.toy import folder_bytes
 
 
 def features_of(folder: Path) -> Features:
@@ -215,6 +217,31 @@ def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path
     assert [finding.file for finding in realtouch.verify(str(out)).findings] == [
         str(file.relative_to(out)) for file in (first, second)
     ]
+
+
+@pytest.mark.thorough
+def test_workers_and_interruptions_change_no_byte(seq_folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("realtouch.convert.media_conversions._CONTACT_FRAME_ROWS", 1)
+    realtouch.clips_to_images(seq_folder, tmp_path / "a")
+    realtouch.clips_to_images(seq_folder, tmp_path / "b", workers=ProcessRunner(2))
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(progress: Any) -> None:
+        if progress.done == 2:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        realtouch.clips_to_images(str(seq_folder), str(tmp_path / "c"), on_progress=stop)
+    assert not json.loads((tmp_path / "c" / "manifest.json").read_text())["complete"]
+    done: list[int] = []
+    realtouch.clips_to_images(
+        str(seq_folder), str(tmp_path / "c"), on_progress=lambda p: done.append(p.total)
+    )
+    assert done[0] == 2  # two of four rounds were kept
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "c")
 
 
 def test_impossible_conversions_are_refused(seq_folder, single_folder, seq_rows, tmp_path):

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import signal
+import sys
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -17,7 +21,7 @@ from realtouch.convert import conversion
 from realtouch.convert.picture_files import id_of_stem, stem_of_id
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import open_folder, problem_of_name
-from tests.forked import run_forked
+from tests.forked import run_forked, start_forked
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 from tests.tactile_toolkit.toy import folder_bytes
@@ -221,6 +225,53 @@ def test_a_large_file_whose_draft_another_run_removes_is_whole(tmp_path: Path) -
     written, digest = conversion.write_stream(folder, "large", lambda stream: stream.write(b"frames"))
     assert (tmp_path / "large").read_bytes() == b"frames"
     assert (written, digest) == (6, hashlib.sha256(b"frames").hexdigest())
+
+
+def _die(source: str, out: str, moment: int) -> None:
+    """Write pictures, and end as by ``kill -9``, without closing, flushing or cleaning up.
+
+    The interpreter informs an audit hook of every file that is opened, renamed or removed, just before it
+    happens.
+    """
+    seen = 0
+
+    def watch(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal seen
+        if event not in ("open", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
+            return
+        if not str(arguments[0]).startswith(out) or (event == "open" and not arguments[2] & os.O_CREAT):
+            return
+        seen += 1
+        if seen == moment:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    warnings.simplefilter("error")
+    sys.addaudithook(watch)
+    realtouch.export(source, out, "png")
+
+
+def killed(source: Path, out: Path, moment: int) -> bool:
+    """Write pictures until the folder is touched for the ``moment``-th time; False if that never happens."""
+    process = start_forked(_die, str(source), str(out), moment)
+    code = process.end()
+    assert code in (0, -signal.SIGKILL), process.err
+    return code != 0
+
+
+@pytest.mark.thorough
+def test_killed_again_and_again_it_ends_with_the_same_bytes(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.export(single_folder, tmp_path / "whole", "png")
+    again, half = tmp_path / "again", tmp_path / "half"
+    for moment in (9, 30, 16):  # each gets further than the one before: to the manifest, a shard, a record
+        assert killed(single_folder, again, moment)
+    moment = 10
+    while not list(half.glob(".pending/tmp-*")):  # a picture of which a part was written
+        assert killed(single_folder, half, moment)
+        moment += 1
+    for out in (again, half):
+        realtouch.export(single_folder, out, "png")
+        assert not list(out.glob(".pending/tmp-*"))
+        assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
 
 
 def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp_path: Path) -> None:

@@ -45,6 +45,21 @@ def touches(scenes, tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
+def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, touches, tmp_path, monkeypatch):
+    monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 60_000)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    tactile_sim.generate(scenes, SPEC, whole)
+    tactile_sim.generate(scenes, SPEC, parts, ["test"])
+    tactile_sim.generate(scenes, SPEC, parts, ["train"], workers=2)
+    assert folder_bytes(whole) == folder_bytes(parts)
+    assert len(list((whole / "data").iterdir())) > 2
+    for split in ("train", "test"):
+        one, other = realtouch.load(touches, split), realtouch.load(whole, split)
+        assert [r.id for r in one] == [r.id for r in other]
+        assert (one[2].sensor_image[3] == other[2].sensor_image[3]).all()
+
+
 def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
     """A later version with other shards could not continue a set, and would make other files."""
     for size_px, touches, largest, rows_per_group in (((64, 64), 256, 161, 20), ((320, 240), 64, 52, 6)):

@@ -12,6 +12,7 @@ from tactile_toolkit.mesh import Mesh
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import HiddenSensor, digits, draw_sensor
 from tests.tactile_sim.solids import block
+from tests.tactile_sim.third_sensors import ThirdSensor, draw_third
 
 SIZE = (96, 72)
 
@@ -30,6 +31,36 @@ def test_the_same_seed_gives_the_same_recording_and_another_one_another(recordin
     np.testing.assert_array_equal(again.images, recording.images)
     assert np.abs(other.images.astype(float) - recording.images).mean() > 1
     assert 0.5 < recording.noise_levels < 4
+
+
+@pytest.mark.parametrize("seed", [1, 100])
+def test_a_near_camera_sees_what_is_pressed_in_larger(seed: int) -> None:
+    """The area of a step grows with the square of its size; frames wander in brightness if they should."""
+    sensor = draw_third(seed, "base", SIZE)
+    x_mm, y_mm = sensor._places(np.zeros(sensor._frame_shape))
+    step = np.where(np.hypot(x_mm, y_mm) < 5, 1.5, 0.0)
+    area = (sensor._projected(step, step) > 0.7).sum() / (step > 0.7).sum()
+    assert area == pytest.approx((1 - 1.5 / sensor.camera_mm) ** -2, abs=0.035)  # of edges of pixels
+    grey = np.full((*SIZE[::-1], 3), 120.0)
+    still, wandering = (draw_third(seed, variant, SIZE) for variant in ("base", "wander"))
+    levels = [made._noisy(grey, np.random.default_rng(0)).mean() for made in (still, wandering)]
+    assert levels[0] == pytest.approx(120, abs=0.5)
+    assert 0.002 < abs(levels[1] / levels[0] - 1) < 0.06
+
+
+def test_an_elastic_gel_rises_around_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It keeps its volume: no plate at the height of the gel at rest holds it down."""
+    least_mm = []
+    project = ThirdSensor._projected
+
+    def measured(sensor: ThirdSensor, frame: np.ndarray, gel_mm: np.ndarray) -> np.ndarray:
+        least_mm.append(gel_mm.min())
+        return np.asarray(project(sensor, frame, gel_mm))
+
+    monkeypatch.setattr(ThirdSensor, "_projected", measured)
+    made = draw_third(1, "base", SIZE).record(digits(2), 1)
+    assert min(least_mm) < -0.05
+    assert made.depth_m.min() == 0
 
 
 def test_depth_is_how_far_the_solid_reaches_into_the_gel_at_its_true_pose() -> None:

@@ -12,7 +12,7 @@ from env_assets import WrenchSpec, top_surface, wrench_mesh, write_wrench
 from env_assets.wrench.dataset import wrench_schema
 from tactile_toolkit import cards
 from tactile_toolkit.cards.yaml_head import check_card
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.store import open_folder
 
 
@@ -177,3 +177,24 @@ def test_the_published_way_of_loading_reads_it(tmp_path):
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(row["volume_m3"], rel=1e-6)
     assert row["label"] == 0
+
+
+@pytest.mark.thorough
+def test_the_same_wrench_is_written_once_and_another_is_refused(tmp_path):
+    folder = tmp_path / "wrench"
+    write_wrench(WrenchSpec(), str(folder))
+    before = {
+        file: (file.stat().st_mtime_ns, file.read_bytes()) for file in folder.rglob("*") if file.is_file()
+    }
+    write_wrench(WrenchSpec(), str(folder))
+    with pytest.raises(SpecMismatchError, match=r"opening_mm is 13\.0 there, 16\.0 was asked for"):
+        write_wrench(WrenchSpec(16), str(folder))
+    after = {
+        file: (file.stat().st_mtime_ns, file.read_bytes()) for file in folder.rglob("*") if file.is_file()
+    }
+    assert after == before
+    write_wrench(WrenchSpec(16), str(folder), overwrite=True)
+    assert env_assets.AssetProvider(tmp_path).meshes("wrench")[0].opening_mm == 16
+    write_wrench(WrenchSpec(16), str(tmp_path / "again"))
+    name = "data/train-00000-of-00001.parquet"
+    assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()

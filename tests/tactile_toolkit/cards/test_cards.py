@@ -14,6 +14,9 @@ import yaml
 from huggingface_hub import DatasetCard, DatasetCardData
 from hypothesis import given, strategies as st
 
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.digit_options import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit import cards
 from tactile_toolkit.cards import FolderSummary
 from tactile_toolkit.cards.card import column_type_text, with_repo_name
@@ -216,6 +219,16 @@ def test_features_are_spelt_as_datasets_spells_them(name):
 )
 def test_types_for_people(entry, text):
     assert column_type_text(entry) == text
+
+
+@pytest.mark.thorough
+def test_the_same_rows_give_the_same_picture_and_card(digits_set, tmp_path):
+    again = tmp_path / "again"
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    generate(spec, str(again), ("holdout",))
+    generate(spec, str(again), ("test",))
+    for path in ("README.md", "previews/digits.png"):
+        assert (again / path).read_bytes() == (digits_set / path).read_bytes()
 
 
 @pytest.mark.parametrize(

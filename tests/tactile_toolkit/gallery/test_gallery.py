@@ -11,7 +11,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
 from tactile_toolkit.gallery import Gallery, site as site_module
 from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, PAGE_FILE, THREE, asset
-from tactile_toolkit.run.runners import InlineRunner
+from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery
@@ -79,6 +79,13 @@ def test_no_other_foreign_code_lies_in_the_package():
     own = Path(site_module.__file__).parent
     code = [file for file in own.rglob("*") if file.suffix in (".js", ".css") and file.name != THREE]
     assert max(file.stat().st_size for file in code) < 20_000
+
+
+@pytest.mark.thorough
+def test_bytes_do_not_depend_on_workers(tmp_path):
+    build(tmp_path / "a")
+    toy_gallery().write(str(tmp_path / "b"), ProcessRunner(2))
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
 
 
 def test_another_folder_is_refused_even_with_overwrite(tmp_path):

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from tactile_toolkit.mesh import Mesh, write_mesh
+from tactile_toolkit.mesh import Mesh, PrintReport, write_mesh
+from tactile_toolkit.run.runners import ProcessRunner
 from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -91,6 +92,20 @@ def test_commands_limit_threads_before_their_first_digit(tmp_path, monkeypatch, 
     assert all_of_them == one
 
 
+def threads_of_a_check(_: int) -> tuple[int, int]:
+    tasks = Path("/proc/self/task")
+    before = len(list(tasks.iterdir()))
+    assert PrintReport.of(ball()).is_solid
+    return before, len(list(tasks.iterdir()))
+
+
 def ball() -> Mesh:
     found = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
     return Mesh(found.vertices.astype("float32"), found.faces.astype("int32"))
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+def test_workers_limit_threads_before_their_first_task():
+    counts = list(ProcessRunner(2).run(threads_of_a_check, [0, 1]))
+    assert [after - before for before, after in counts] == [0, 0]

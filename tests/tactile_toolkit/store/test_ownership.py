@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +17,8 @@ from tactile_toolkit.run import Part
 from tactile_toolkit.run.runners import InlineRunner, ProcessRunner
 from tactile_toolkit.store import open_folder, verify
 from tactile_toolkit.store.folder import LocalFolder
+from tests.command_line import call
+from tests.processes import start_held
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan
 
 
@@ -100,3 +105,47 @@ def test_the_first_of_two_that_create_a_file_wins_on_file_systems_without_links_
         folder.create_bytes("manifest.json", content)
         assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
         assert (tmp_path / "manifest.json").read_bytes() == b"first"
+
+
+@pytest.mark.thorough
+def test_a_command_whose_set_was_replaced_ends_with_one_sentence(tmp_path, capfd):
+    place, marker = tmp_path / "set", tmp_path / "held"
+    words = ("generate", "--scenes", "1200", "--split", "train", "--out", place)
+    slow = start_held("starstruck", 1, marker, *words, "--seed", 1, "--workers", 1)
+    assert call("starstruck", *words, "--seed", 2, "--overwrite", "--workers", 1) == 0
+    before = folder_bytes(place)
+    Path(f"{marker}.go").touch()
+    _, said = slow.communicate()
+    assert slow.returncode == 2
+    assert said.decode().strip().splitlines()[-1].startswith("error: the data set in")
+    assert "Traceback" not in said.decode()
+    assert folder_bytes(place) == before
+    assert json.loads(before["manifest.json"])["spec"]["seed"] == 2
+    capfd.readouterr()
+    assert call("tactile", "verify", place) == 0
+
+
+@pytest.mark.thorough
+def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, capfd):
+    """Runs of the present set have nothing to do, and remove no files of the other one."""
+    place, marker = tmp_path / "set", tmp_path / "held"
+    words = ("generate", "--scenes", "600", "--split", "train", "--out", place)
+    assert call("starstruck", *words, "--seed", 1) == 0
+    slow = start_held("starstruck", 1, marker, *words, "--seed", 2, "--overwrite", "--workers", 1)
+    before = folder_bytes(place)
+    assert any(path.startswith(".next/.pending/train-") for path in before)
+    for beside in (("--workers", 1), ("--finish",), ("--repair",)):
+        assert call("starstruck", *words, "--seed", 1, *beside) == 0
+        assert folder_bytes(place) == before
+    capfd.readouterr()
+    assert call("starstruck", *words, "--seed", 3, "--overwrite", "--workers", 1) == 2
+    said = capfd.readouterr().err
+    assert re.search(rf"^error: process {slow.pid} on .* holds .*\.next'; next: wait until", said), said
+    assert folder_bytes(place) == before
+    Path(f"{marker}.go").touch()
+    slow.communicate()
+    assert slow.returncode == 0
+    after = folder_bytes(place)
+    assert json.loads(after["manifest.json"])["spec"]["seed"] == 2
+    assert not [path for path in after if path.startswith(".")]
+    assert call("tactile", "verify", place) == 0
