@@ -194,16 +194,26 @@ def jobs_of(source: Path, exported: Path, touches: int) -> dict[str, tuple[str, 
     }
 
 
-def tell_further(size: tuple[int, int], each_s: float, rounds: int, home: Path) -> None:
+def tell_further(size: tuple[int, int], source: Path, rounds: int, home: Path) -> None:
     """Tell what a touch costs without the card, its pictures and the other files that a set has once."""
     import realtouch
 
-    few = (rounds // 4) * TOUCHES
-    chosen = make_set(home / f"few-{size[0]}", size, rounds // 4)
-    few_s = few / per_second([(lambda out: realtouch.export(chosen, out / "set", "flat"), few)], home)[0]
-    further_s = (rounds * TOUCHES * each_s - few_s) / (rounds * TOUCHES - few)
+    half = make_set(home / f"half-{size[0]}", size, rounds // 2)
+    touches = (rounds * TOUCHES, rounds // 2 * TOUCHES)
+
+    def exporting(chosen: Path) -> Callable[[Path], object]:
+        return lambda out: realtouch.export(chosen, out / "set", "flat")
+
+    jobs = list(zip(map(exporting, (source, half)), touches, strict=True))
+    whole_s, half_s = (count / rate for count, rate in zip(touches, per_second(jobs, home), strict=True))
     what = f"each further touch, `{COMMANDS['flat']}`, {size[0]}x{size[1]}"
-    tell(f"flat_further_{size[0]}", what, further_s, "s", statistic=f"median of {TURNS}")
+    tell(
+        f"flat_further_{size[0]}",
+        what,
+        (whole_s - half_s) / (touches[0] - touches[1]),
+        "s",
+        statistic=f"median of {TURNS}",
+    )
 
 
 def main() -> None:
@@ -221,7 +231,7 @@ def main() -> None:
                     continue
                 ours_s, plain_s, read_s = (1 / rate for rate in per_second(jobs, home))
                 if what == "flat":
-                    tell_further(size, ours_s, options.rounds, home)
+                    tell_further(size, source, options.rounds, home)
                 tell(
                     f"{what}_{size[0]}", f"a touch of {touches:,}, `{COMMANDS[what]}`, {name}", ours_s, "s",
                     statistic=f"median of {TURNS}", plain=(plain_s, way), limit=(read_s, "reading alone"),
