@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,9 @@ from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.wording import bytes_text, with_count
+
+if TYPE_CHECKING:
+    from tactile_toolkit.sets import DataSet
 
 _MESH_FORMATS = ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat")
 _SHOW_FRAME = "png|jpeg|flat|webdataset|fota|anytouch"
@@ -213,8 +216,20 @@ def export(
         _write_rows(sink, kind, data.plan_tables(chosen, out), out, run_options, kind.nouns)
         return
     options.refuse(run_options.given(), "mesh files")
+    _write_meshes(sink, data, chosen, out, printing.ExportOptions(file_format, **meshes), run_options)
+
+
+def _write_meshes(
+    sink: output.Sink,
+    data: DataSet,
+    chosen: catalog.RowFilter,
+    out: str,
+    mesh_options: printing.ExportOptions,
+    run_options: options.GenerateOptions,
+) -> None:
+    """Write mesh files or plates of a data set, and print which; exit code 1 if one could not be written."""
     report = data.export_meshes(
-        *(chosen, out, printing.ExportOptions(file_format, **meshes), sink.progress),
+        *(chosen, out, mesh_options, sink.progress),
         overwrite=run_options.overwrite,
         dry_run=run_options.dry_run,
         workers=options.process_count(run_options.workers),

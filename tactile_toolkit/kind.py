@@ -268,8 +268,8 @@ class DatasetKind:
         # Imported here: every command line starts with this file, and few need it.
         from importlib.metadata import entry_points
 
-        found = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
-        return tuple(sorted(found, key=lambda kind: kind.name))
+        kinds = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
+        return tuple(sorted(kinds, key=lambda kind: kind.name))
 
     @classmethod
     def named(cls, name: str | None) -> DatasetKind | None:

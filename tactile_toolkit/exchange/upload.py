@@ -301,7 +301,10 @@ class Upload:
 def check_folder(
     folder: store.DataFolder, kind: DatasetKind | None = None, workers: int = 1
 ) -> Iterable[object]:
-    """List the problems of a folder: files and card; with a kind also rows, columns, ids and pictures."""
+    """List the problems of a folder: files and card; with a kind also rows, columns, ids and pictures.
+
+    As text, each is the file and what is wrong with it; kinds have classes of their own for them.
+    """
     if kind is not None and kind.check is not None:
         findings: Iterable[object] = kind.check(folder, workers)
         return findings

@@ -171,12 +171,13 @@ class HubRepository:
         Asks again after transient failures. Raises InputError for other names, and for a part of a
         repository; HubError as the Hub answers.
         """
-        found = named_on_hub(name, revision)
-        if found.path:
+        resolved = named_on_hub(name, revision)
+        if resolved.path:
             raise errors.InputError(
-                f"{name!r} is a part of a repository; expected all of it", next=f"leave {found.path!r} out"
+                f"{name!r} is a part of a repository; expected all of it",
+                next=f"leave {resolved.path!r} out",
             )
-        return open_repository(found.repo_id, found.revision, patient=True, on_wait=on_wait)
+        return open_repository(resolved.repo_id, resolved.revision, patient=True, on_wait=on_wait)
 
     @property
     def folder(self) -> store.DataFolder:

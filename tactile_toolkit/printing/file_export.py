@@ -149,14 +149,14 @@ class Made(Generic[R]):
         further files, ``known`` is what was found about the solid before. Raises ItemError for a mesh that
         bounds no solid.
         """
-        found = known or solid_check.require_solid(solid)
+        verdict = known or solid_check.require_solid(solid)
         content = pack_mesh(solid, ending, name)
 
         def check() -> None:
-            require_same_solid(unpack_mesh(content, ending), solid, found)
+            require_same_solid(unpack_mesh(content, ending), solid, verdict)
 
         files = {**(beside or {}), f"{name}{ending}": content}
-        return cls(files, partial(record, found.volume_mm3, len(content)), check)
+        return cls(files, partial(record, verdict.volume_mm3, len(content)), check)
 
 
 @dataclass(frozen=True, slots=True)

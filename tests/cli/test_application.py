@@ -224,7 +224,10 @@ def test_commands_run_without_being_on_the_path():
         f"tactile-toolkit {version('tactile-toolkit')}\n",
         "",
     )
-    assert all(program in run("cat").stderr for program in PACKAGES.values())
+    refused = run("cat")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr.startswith("error: 'cat' is no command; expected one of ")
+    assert all(program in refused.stderr for program in PACKAGES.values())
 
 
 @pytest.mark.parametrize("package", PACKAGES)
