@@ -27,12 +27,12 @@ _SMOOTH_MM = 0.5
 _SATURATED_LEVEL, _MAX_SATURATED = 254, 0.02
 _CHANGED, _MIN_CHANGED = 12.0, 0.01  # levels; share of an image that a contact changes
 _MARKER_PX, _MARKER_LEVELS, _MAX_MARKERS = 7.0, 8.0, 0.01
-_MAX_DRIFT = 4.0  # levels between parts of a recording; up to 2.8 for sensors that did not change
+_MAX_DRIFT = 6.0  # levels between parts of a recording; up to 4.7 for sensors that did not change
 # Mixed halves of a recording: (length of the runs of touches that alternate between them, shift of the runs).
-# A drift must exceed theirs by a factor: it is up to 1.5 times as large if nothing changed (10 touches), and
-# at least 3.3 times as large if the gel changed.
+# A drift must exceed theirs by a factor: it is up to 2.8 times as large if nothing changed, and at least 3.3
+# times as large if the gel changed.
 _MIXED = ((1, 0), (2, 0), (2, 1), (3, 0))
-_ABOVE_MIXED = 2.2
+_ABOVE_MIXED = 3.0
 _MAX_DISTANCE_M = 1.0  # of a sensor from its object; a setup on a desk is smaller
 # Correlation of slopes with the change of an image: 0.5 to 0.9 for right poses, about 0 for wrong ones.
 _LOW, _GAIN = 0.35, 0.15
