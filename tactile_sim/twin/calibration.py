@@ -23,6 +23,7 @@ from tactile_toolkit.value_types import Bool, Int64
 from tactile_toolkit.wording import with_count
 
 _MAX_LIGHT_DRIFT = 0.15  # of the gains of frames, root mean square
+_MAX_HEIGHT_ERROR_M = 2e-4  # root mean square, by the first round, which is held to stated heights
 _SURE_SCALE = 2.5  # standard deviations
 _MOST_OFF = 0.5  # share of touches that are off: beyond it, all are searched near their stated poses
 _MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
@@ -78,7 +79,16 @@ def calibrate(
     usable = np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED)
     steps = Steps(on_progress, rounds_of_fit.STEPS + training_steps())
     fit = _usable_fit(recordings, start, mistakes, usable, steps)
-    rounds_of_fit.run_fit(fit, steps)
+    error_m = rounds_of_fit.run_coarse(fit, steps)
+    if error_m > _MAX_HEIGHT_ERROR_M:
+        detail = (
+            f"the images contradict the stated heights z_m, by {1e3 * error_m:.2f} mm or more: heights are "
+            "not used, but found from the images"
+        )
+        mistakes.append(Mistake("heights", detail, 1e3 * error_m))
+        fit = _usable_fit(recordings.without_heights(), start, mistakes, usable, Steps())
+        rounds_of_fit.run_coarse(fit, Steps())
+    rounds_of_fit.run_fine(fit, steps)
     _require_explained(fit)
     mistakes += [*_off_poses(fit, usable), *_wandering_light(fit), *_other_size(fit)]
     report = {**rounds_of_fit.fit_report(fit), "mistakes": [asdict(mistake) for mistake in mistakes]}
@@ -226,6 +236,8 @@ def _first_fit(recordings: Recordings, start: SensorModel, steps: Steps) -> Fit:
     for touch, at in enumerate(matched):
         matching.set_pose(fit, touch, at)
     fit.likely = likely
+    if poses is not None:
+        fit.off = off
     return fit
 
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from tactile_sim.twin import gel, gel_kernels
+from tactile_sim.twin import gel, gel_kernels, view_kernels
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.recordings import frame_gains, unsaturated
+from tactile_sim.twin.recordings import MOST_LEVEL, frame_gains, unsaturated
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,15 +29,22 @@ COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives, and expected deviations from the guess.
-_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0])
-_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 5.0])
+_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05])
+_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 8.0, 0.5])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
-_HUBER = 3.0  # residuals beyond this multiple of the noise weigh less: dust, layer lines, shadows
+_OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of the position, of the entries of steepness and of depth.
-_TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
-_ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
+_TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0, 3.0, 3.0, 3.0])
+_ENTRY_COST, _LAMP_COST = 1e-4, 0.01
+_LEVEL_COST = 30.0  # of a response where the gel is level, which would end abruptly there
+DEPTH_COST = 0.1
+"""Cost of the response to depth where images are fine enough to tell it from depth itself."""
+
+NO_DEPTH_COST = 1e3
+"""The same elsewhere, which suppresses this response."""
+
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
 _NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
@@ -60,16 +67,17 @@ def _penalty(depth_cost: float) -> Float64:
     steepness; matte gels respond like this. A geometry that is fitted with a high ridge therefore suits most
     gels.
     """
-    turns = gel_kernels.TURNS
-    steps = gel_kernels.STEPS
-    directions = np.eye(turns)
+    directions = np.eye(view_kernels.TURNS)
     around = np.roll(directions, 1, axis=0) + np.roll(directions, -1, axis=0)
-    around -= 2 * np.cos(2 * np.pi / turns) * directions
-    steep = np.vstack([np.diff(np.eye(steps), 3, axis=0), np.eye(steps)[:1]])
-    deep = np.diff(np.eye(steps), 2, axis=0)
-    along = scipy.linalg.block_diag(steep.T @ steep, deep.T @ deep)
-    cost = np.kron(around.T @ around, np.eye(2 * steps))
-    cost += np.kron(directions, along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
+    around -= 2 * np.cos(2 * np.pi / len(directions)) * directions
+    steps = np.eye(view_kernels.STEPS)
+    steep = np.vstack([np.diff(steps, 3, axis=0), _LEVEL_COST * steps[:1]])
+    slopes = np.kron(around.T @ around, steps)
+    slopes += np.kron(directions, steep.T @ steep + _ENTRY_COST * steps)
+    deep = np.diff(np.eye(1 + view_kernels.DEPTHS), 2, axis=0)[:, 1:]  # 0 at rest
+    depths = deep.T @ deep + depth_cost * np.eye(view_kernels.DEPTHS)
+    lamps = _LAMP_COST * np.eye(gel_kernels.ENTRIES - gel_kernels.LAMPS)
+    cost = scipy.linalg.block_diag(slopes, depths, lamps)
     return np.asarray(np.kron(cost, np.diag(_TERM_COST)))
 
 
@@ -125,14 +133,16 @@ class Fit:
         self.rms = np.full(count, np.nan)
         self.robust_std = np.zeros(count)
         self.gains = np.ones((count, 3))
+        self.at_rest = self.background
+        self.lit = unsaturated(self.background)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
-        self.penalise(shadows=True)
+        self.penalise(NO_DEPTH_COST)
         self.set_shrink(1)
 
-    def penalise(self, *, shadows: bool) -> None:
-        """Allow or suppress the response to the depth of the gel, which models shadows, in further steps."""
-        self.penalty = _penalty(_DEPTH_COST if shadows else _NO_SHADOWS_COST)
+    def penalise(self, depth_cost: float) -> None:
+        """Set the penalty of the response, with this cost of the response to depth, in further steps."""
+        self.penalty = _penalty(depth_cost)
 
     def set_shrink(self, shrink: int) -> None:
         """Shrink the images by a factor in further steps."""
@@ -140,6 +150,7 @@ class Fit:
         width, height = (side // shrink for side in self.recordings.size_px)
         self.size = (height, width)
         self.behind = shrunk(self.background, shrink)
+        self.terms = gel.position_terms(self.behind)
         self.noise = _FIRST_NOISE
 
     def image(self, touch: int) -> tuple[Float32, Bool]:
@@ -148,7 +159,7 @@ class Fit:
         The image is divided by the gains of its frame.
         """
         image = self.recordings.images[touch]
-        mask = unsaturated(image).astype(np.float32)
+        mask = (unsaturated(image) & self.lit).astype(np.float32)
         levels = shrunk(image.astype(np.float32), self.shrink) / self.gains[touch].astype(np.float32)
         return levels, shrunk(mask, self.shrink) > 0.99
 
@@ -214,15 +225,17 @@ class Fit:
     def rendered(self, touch: int, pose: Float64, shape: Float64) -> Float32:
         """Return the rendered change of an image against the background, (H, W, 3), levels."""
         soft = self.surface(touch, pose, shape)
-        return gel.response(soft, self.pitch_m(shape), shape, gel.response_table(self.coefficients))
+        table = gel.response_table(self.coefficients)
+        return gel.response(soft, self.pitch_m(shape), shape, table, self.terms)
 
     def residual(self, touch: int) -> tuple[Float32, Float32, Float32]:
         """Return the rendered change and the residuals (H, W, 3), levels, and the weights (H, W)."""
         base = self.rendered(touch, self.poses[touch], self.shape)
         image, mask = self.image(touch)
         residuals = image - self.behind - base
-        largest = np.abs(residuals).max(axis=-1)
-        weights = np.where(mask, 1 / np.maximum(1, largest / (_HUBER * self.noise)), 0).astype(np.float32)
+        # Geman and McClure's weights: outliers lose their influence.
+        largest = np.square(residuals / np.float32(_OUTLIER * self.noise)).max(axis=-1)
+        weights = (mask / np.square(1 + largest)).astype(np.float32)
         self.rms[touch] = np.sqrt(np.mean(residuals[mask] ** 2)) if mask.any() else np.nan
         self.robust_std[touch] = 1.4826 * float(np.median(np.abs(residuals)))
         return base, residuals, weights
@@ -260,7 +273,7 @@ class Fit:
         total = 0.0
         for touch in np.flatnonzero(self.used).tolist():
             _, residuals, weights = self.residual(touch)
-            total += _weighted_square(residuals, weights)
+            total += _robust_square(residuals, weights)
         return total
 
     def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> float:
@@ -284,8 +297,10 @@ class Fit:
             self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape
         )
         blur_px = self.shape[Fitted.BLUR] / pitch_m
-        sums.add(features, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px)
-        return _weighted_square(residuals, weights)
+        sums.add(
+            features, self.terms, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px
+        )
+        return _robust_square(residuals, weights)
 
     def rescale(self, scale: float) -> None:
         """Multiply all lengths by a factor, which leaves the rendered images as they are."""
@@ -302,26 +317,27 @@ class Fit:
             )
 
     def refresh_background(self) -> None:
-        """Average the images without contact and the touches less their rendered change, in full size."""
+        """Average the images without contact and the touches less their rendered change, in full size.
+
+        Where it is saturated, only touches that darken it tell how much brighter it is.
+        """
         assert self.shrink == 1, "the background has the size of the images"
-        backgrounds = self.recordings.backgrounds
-        total = np.zeros((*self.size, 3))
-        share = np.full((*self.size, 1), 1e-6)
-        if backgrounds.size:
-            total += backgrounds.sum(axis=0, dtype=np.float64)
-            share += len(backgrounds)
-        else:
-            total += 1e-6 * self.background
+        is_least = self.at_rest > MOST_LEVEL
+        share = np.where(is_least, 0, len(self.recordings.backgrounds)) + 1e-6
+        total = share * self.at_rest
         for touch in np.flatnonzero(self.used):
             base = self.rendered(int(touch), self.poses[touch], self.shape)
-            image, mask = self.image(int(touch))
+            image, _ = self.image(int(touch))
+            mask = unsaturated(self.recordings.images[touch])
             # The response is known to about 8 %.
             far = 0.08 * np.abs(base).max(axis=-1, keepdims=True) / self.noise
             weight = mask[..., None] / (1 + far * far)
             total += weight * (image - base)
             share += weight
-        self.background = (total / share).astype(np.float32)
+        found = (total / share).astype(np.float32)
+        self.background = np.where(is_least, np.maximum(found, self.at_rest), found)
         self.behind = self.background
+        self.terms = gel.position_terms(self.behind)
 
     def choose_ridge(self) -> None:
         """Choose the ridge with which a fit to the other touches predicts every fifth touch best.
@@ -384,6 +400,7 @@ class _Sums:
     def add(
         self,
         features: gel.Features,
+        terms: Float32,
         weights: Float32,
         columns: Float32,
         unknowns: list[int],
@@ -391,12 +408,12 @@ class _Sums:
     ) -> None:
         """Add a touch: ``columns`` (H, W, 1 + m, 3) are the residuals and derivatives by ``unknowns``."""
         height, width, many, _ = columns.shape
-        gel_kernels.add_normal(self.normal, *features, weights)
+        gel_kernels.add_normal(self.normal, *features, terms, weights)
         products = np.zeros((COEFFICIENTS, many * 3))
         # The blur of the camera is its own transpose.
         weighed = columns.reshape(height, width, -1) * weights[..., None]
         gel.blur_colours(weighed, blur_px)
-        gel_kernels.add_products(products, *features, weighed)
+        gel_kernels.add_products(products, *features, terms, weighed)
         at = np.array([0, *(1 + unknown for unknown in unknowns)])
         self.products[:, at] += products.reshape(COEFFICIENTS, many, 3)
         self.weight += float(weights.sum())
@@ -450,8 +467,9 @@ class _Sums:
         return moved
 
 
-def _weighted_square(residuals: Float32, weights: Float32) -> float:
-    return float(np.sum(weights[..., None] * residuals * residuals, dtype=np.float64))
+def _robust_square(residuals: Float32, weights: Float32) -> float:
+    # Of Geman and McClure, whose weights are the squares of these.
+    return float(np.sum(np.sqrt(weights)[..., None] * residuals * residuals, dtype=np.float64))
 
 
 def shrunk(image: Float32, factor: int) -> Float32:

@@ -2,9 +2,9 @@
 
 As in Taxim (Si and Yuan, IEEE Robotics and Automation Letters 7 (2), 2022, section IV), the gel is blurred by
 Gaussians of falling width. After each but the last of them, it takes the shape of the solid again where it is
-in contact. Here, the greatest width, the last width, and the share of the press depth from which the solid is
-in contact are fitted. The edge of the contact is about as wide as a pixel, so that images change smoothly
-with all of them.
+in contact. Here, the greatest width, the last width, the share of the press depth from which the solid is
+in contact, and how far the gel rises around a contact, as elastic gels do, are fitted. The edge of the
+contact is about as wide as a pixel, so that images change smoothly with all of them.
 """
 
 from __future__ import annotations
@@ -16,22 +16,26 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_sim.optics import taxim_kernels
-from tactile_sim.twin import gel_kernels, surface_kernels
+from tactile_sim.twin import gel_kernels, surface_kernels, view_kernels
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.value_types import Float32, Float64, Floating, Int64
 
-_WIDTHS = 6  # as in Taxim, each about half of the previous one
+_WIDTHS = 6  # as in Taxim
+_NARROWER = 0.5  # each width over the previous one, about that of Taxim
 _REACH = 4.0  # of the gel's kernels, in standard deviations
 # Standard deviations in pixels from which a map is halved before it is blurred, and from which it is halved
 # again: a smaller map is mirrored at an edge that lies farther away.
 _HALVED_PX = (3.7, 7.0)
 _MIN_HALVED_PX = 32  # width of maps that are halved
 _CAMERA_REACH = 3.0
-_MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
+_SMOOTH = 0.02  # standard deviation by which colours at rest are blurred, of the width
+_LOST_PX = 100  # width of the maps of lost light; the penumbra is about as wide as their pixels
+_REACHES_M = np.geomspace(2.5e-4, 6e-3, 10)  # at which the gel is compared with a pixel
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
-LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0])
-MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0])
+_AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
+LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5])
+MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5])
 """Least and greatest values of a geometry."""
 
 WHOLE = np.ones(2)
@@ -47,8 +51,8 @@ class Fitted(IntEnum):
     ``WIDE`` and ``HIGH`` are the logarithms of the sides of the image over those of the first guess, ``LENS``
     is the radial term of the lens, ``GEL`` the thickness of the gel, ``WIDTH`` the greatest width of its blur
     and ``LAST`` the last one, metres; ``CONTACT`` is the share of the press depth from which the solid is in
-    contact, ``BLUR`` the blur of the camera, metres on the gel, and ``CAMERA`` one over the distance of the
-    camera from the gel, 1 / metres.
+    contact, ``BLUR`` the blur of the camera, metres on the gel, ``CAMERA`` one over the distance of the
+    camera from the gel, 1 / metres, and ``RISE`` the share of the volume pressed in by which the gel rises.
     """
 
     WIDE = 0
@@ -60,6 +64,7 @@ class Fitted(IntEnum):
     CONTACT = 6
     BLUR = 7
     CAMERA = 8
+    RISE = 9
 
 
 def unbent(shape: Float64) -> Float64:
@@ -92,7 +97,7 @@ def gel_surface(
     where it counts as no higher than within the image; ``pitch_m`` the size of a pixel; ``span`` the share of
     the image that is shown. The lens is that of ``shape``.
     """
-    sigmas_m = [*(shape[Fitted.WIDTH] * 0.5 ** np.arange(_WIDTHS)), shape[Fitted.LAST]]
+    sigmas_m = [*(shape[Fitted.WIDTH] * _NARROWER ** np.arange(_WIDTHS)), shape[Fitted.LAST]]
     blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
     # Pixels around the image that are seen: two, and more through a lens with a positive term.
     bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
@@ -103,7 +108,11 @@ def gel_surface(
         insets.append(max(margin - around_px, 0))
     share = float(shape[Fitted.CONTACT])
     edge_m = _EDGE * float(pitch_m[0])
-    soft = surface_kernels.press_gel(indentation_m, margin, blurs, tuple(reversed(insets)), share, edge_m)
+    around = gel_blur(_AROUND * shape[Fitted.GEL] / pitch_m, indentation_m.shape)
+    rise = float(shape[Fitted.RISE])
+    soft = surface_kernels.press_gel(
+        indentation_m, margin, blurs, tuple(reversed(insets)), around, rise, share, edge_m
+    )
     return seen_through(soft, pitch_m, shape, margin, span)
 
 
@@ -166,39 +175,79 @@ def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> surface_kernels.Blur:
 
 
 def view_of(
-    soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
-) -> gel_kernels.SurfaceView:
-    """Return how a surface is seen through the lens of ``shape``."""
-    rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _MIN_RIM_M)
+    size: tuple[int, ...], pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
+) -> view_kernels.SurfaceView:
+    """Return how a surface (H, W) of a size is seen through the lens of ``shape``."""
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
-    across = _across_of(pitch_m, soft.shape, span)
-    lens, camera = shape[[Fitted.LENS, Fitted.CAMERA]].tolist()
-    return gel_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, rim_m)
+    across = _across_of(pitch_m, size, span)
+    lens, camera, gel_m = shape[[Fitted.LENS, Fitted.CAMERA, Fitted.GEL]].tolist()
+    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, gel_m)
 
 
 def surface_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Features:
     """Return the entries of the response that each pixel of a surface depends on, and their shares."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    gel_kernels.features(soft, view_of(soft, pitch_m, shape), entries, shares)
+    lost, scale = _lost_light(soft, pitch_m, shape)
+    gel_kernels.features(soft, lost, scale, view_of(soft.shape, pitch_m, shape), entries, shares)
     return entries, shares
+
+
+def position_terms(at_rest: Float32, span: Float64 = WHOLE, mean: Floating | None = None) -> Float32:
+    """Return the terms of each pixel, (H, W, TERMS), from the image of the gel at rest (H, W, 3).
+
+    Colours at rest tell how bright each lamp is at a place: the response grows with them. ``span`` is the
+    share of the image that is shown, and ``mean`` its mean colours, by default those of ``at_rest``.
+    """
+    rows, columns, _ = at_rest.shape
+    x = span[0] * (np.arange(1, 2 * columns, 2) / columns - 1)
+    y = span[1] * (1 - np.arange(1, 2 * rows, 2) / rows)
+    out = np.empty((rows, columns, gel_kernels.TERMS), np.float32)
+    across, up = np.broadcast_arrays(x, y[:, None])
+    for term, values in enumerate((1.0, across, up, across * across, across * up, up * up)):
+        out[..., term] = values
+    smooth = at_rest.astype(np.float32)
+    blur_colours(smooth, _SMOOTH * columns / span[0] * np.ones(2))
+    means = at_rest.mean(axis=(0, 1)) if mean is None else mean
+    out[..., gel_kernels.COLOURS :] = smooth / np.maximum(means, 1.0)
+    return out
+
+
+def _lost_light(
+    soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
+) -> tuple[Float32, float]:
+    """Return the lost light of a surface on a map of at most :data:`_LOST_PX`, and how much smaller it is."""
+    scale = 1.0
+    while soft.shape[1] > _LOST_PX:
+        soft = surface_kernels.halved_map(soft)
+        scale /= 2
+    view = view_of(soft.shape, pitch_m / scale, shape, span)
+    return gel_kernels.lost_light(soft, view, _REACHES_M), scale
 
 
 def response_table(coefficients: Floating) -> Float32:
     """Return coefficients (ENTRIES, TERMS, 3) in the layout of :func:`response`."""
-    table = np.zeros((3, len(coefficients), gel_kernels.ENTRY_VALUES), np.float32)
-    # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
-    for term, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):
-        table[power_y, :, 4 * power_x : 4 * power_x + 3] = coefficients[:, term]
-    return table
+    table = np.zeros((len(coefficients), gel_kernels.TERMS, 4), np.float32)
+    table[..., :3] = coefficients
+    return table.reshape(len(table), -1)
 
 
 def response(
-    soft: Float32, pitch_m: Float64, shape: Float64, table: Float32, span: Float64 = WHOLE
+    soft: Float32,
+    pitch_m: Float64,
+    shape: Float64,
+    table: Float32,
+    terms: Float32,
+    span: Float64 = WHOLE,
 ) -> Float32:
-    """Return how a surface changes the image, levels, shape (H, W, 3); see :func:`response_table`."""
+    """Return how a surface changes the image, levels, (H, W, 3).
+
+    ``table`` is a :func:`response_table`, and ``terms`` are the :func:`position_terms` of its pixels.
+    """
     out = np.empty((*soft.shape, 3), np.float32)
-    gel_kernels.render_response(out, soft, view_of(soft, pitch_m, shape, span), table)
+    lost, scale = _lost_light(soft, pitch_m, shape, span)
+    view = view_of(soft.shape, pitch_m, shape, span)
+    gel_kernels.render_response(out, soft, lost, scale, view, terms, table)
     blur_colours(out, shape[Fitted.BLUR] / pitch_m)
     return out
 

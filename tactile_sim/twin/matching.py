@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
-from tactile_sim.twin import gel
+from tactile_sim.twin import gel, gel_kernels
 from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.pose_search import (
@@ -273,13 +273,13 @@ def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
 
 def _paint_of(fit: Fit) -> Paint:
     """Return a function that colours a surface by the response of the fit, alike all over the image."""
-    coefficients = fit.coefficients.copy()
-    coefficients[:, 1:] = 0.0
     shape = gel.unbent(fit.shape)
-    table = gel.response_table(coefficients)
+    table = gel.response_table(fit.coefficients)
 
     def paint(surface: Float32, pitch_m: Float64) -> Float32:
-        return gel.response(surface, pitch_m, shape, table)
+        terms = np.zeros((*surface.shape, gel_kernels.TERMS), np.float32)
+        terms[..., 0] = terms[..., gel_kernels.COLOURS :] = 1.0
+        return gel.response(surface, pitch_m, shape, table, terms)
 
     return paint
 

@@ -10,7 +10,7 @@ import numpy as np
 from tactile_sim.optics.rendering import require_images
 from tactile_sim.press.press_kernels import rasterise
 from tactile_sim.press.pressable import Pressable
-from tactile_sim.twin import gel_kernels
+from tactile_sim.twin import surface_kernels
 from tactile_sim.twin.gel import WHOLE
 from tactile_sim.user_values import real_array, shown
 from tactile_toolkit import checked_fields
@@ -26,7 +26,9 @@ _MIN_PX = 32  # kernels of the gel need some room
 _MAX_BYTES = 1 << 30
 _TOLERANCES = (6.0, 4.0, 3.0, 3.0)  # multiples of the noise
 _MIN_AGREEING = 0.03  # of an image
-_DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
+_LEAST_LEVEL = 1
+MOST_LEVEL = 253
+"""Levels up to the first and above the second count as saturated."""
 
 MIN_UNSATURATED = 0.25
 """Share of the pixels of a usable image that are not saturated."""
@@ -84,7 +86,7 @@ class Relief:
         turned = np.array([[cosine, sine], [-sine, cosine]]) * half_m
         out = np.empty(size)
         affine = np.column_stack([turned, pose[:2]])
-        gel_kernels.sample_relief(out, self.heights_m, self.corner, affine, span, level_m)
+        surface_kernels.sample_relief(out, self.heights_m, self.corner, affine, span, level_m)
         return out
 
     @property
@@ -93,9 +95,9 @@ class Relief:
         return float(self.heights_m.max())
 
 
-def unsaturated(image: UInt8) -> Bool:
+def unsaturated(image: UInt8 | Float32) -> Bool:
     """Return which pixels (H, W) of an image are not saturated in any colour."""
-    return np.asarray(((image > _DARK) & (image < _BRIGHT)).all(axis=-1))
+    return np.asarray(((image > _LEAST_LEVEL) & (image <= MOST_LEVEL)).all(axis=-1))
 
 
 def frame_gains(image: Floating, expected: Floating, noise: float) -> Float64:
@@ -107,7 +109,7 @@ def frame_gains(image: Floating, expected: Floating, noise: float) -> Float64:
     gains = np.median((image + 1.0) / (expected + 1.0), axis=(0, 1))
     for times in _TOLERANCES:
         off = np.abs(image - gains * expected).max(axis=-1)
-        agrees = (off < times * noise) & (image.max(axis=-1) < _BRIGHT)
+        agrees = (off < times * noise) & (image.max(axis=-1) <= MOST_LEVEL)
         if agrees.mean() < _MIN_AGREEING:
             break
         gains = (image * expected)[agrees].sum(axis=0) / (expected * expected)[agrees].sum(axis=0)

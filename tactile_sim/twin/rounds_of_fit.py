@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
-from tactile_sim.twin.fitting import FIRST_DRIFT, Fit, Steps
+from tactile_sim.twin.fitting import DEPTH_COST, FIRST_DRIFT, NO_DEPTH_COST, Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import Recordings, Relief
 from tactile_toolkit.value_types import Float32, Float64
@@ -17,26 +17,37 @@ _WIDTH_M = 9e-4
 _LAST_M = 6e-5
 _CONTACT = 0.6
 _BLUR_M = 6e-5
+_RISE = 0.15  # between that of gels that are pulled down, and that of elastic ones, 0.5 to 0.8
 # Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
-_COARSE = (
-    Fitted.WIDE,
-    Fitted.HIGH,
-    Fitted.LENS,
-    Fitted.GEL,
-    Fitted.WIDTH,
-    Fitted.CONTACT,
-    Fitted.CAMERA,
+
+
+class _Round(NamedTuple):
+    """Width of the images, steps, moving geometry, ridge, and cost of the response to depth.
+
+    A high ridge leaves more to the geometry.
+    """
+
+    width_px: int
+    steps: int
+    moving: tuple[Fitted, ...]
+    ridge: float
+    depth_cost: float
+
+
+_FINE_ROUND = _Round(160, 10, tuple(Fitted), 1e-2, DEPTH_COST)
+_COARSE_ROUND = _Round(
+    80,
+    8,
+    tuple(value for value in Fitted if value not in (Fitted.LAST, Fitted.BLUR)),
+    ridge=0.1,
+    depth_cost=NO_DEPTH_COST,
 )
-# Press depth and shadows have similar effects on the image: the depth is fitted without shadows.
-_SHALLOW = tuple(value for value in Fitted if value not in (Fitted.GEL, Fitted.CONTACT))
-_ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 1e-2), (160, 6, _SHALLOW, 1e-3))
-"""Width of the images, steps, moving geometry, and ridge; a high ridge leaves more to the geometry."""
 
 _PASSES = 3
-STEPS = sum(count for _, count, _, _ in _ROUNDS) + _PASSES
+STEPS = _COARSE_ROUND.steps + _FINE_ROUND.steps + _PASSES
 
 _SETTLED_MOVE = 0.01  # a round ends after a step that is smaller, in parts of the expected spread
 _MISFIT = 3.0  # as a multiple of the median error
@@ -50,7 +61,7 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
-    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0])
+    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0, _RISE])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
@@ -77,28 +88,42 @@ def first_background(recordings: Recordings) -> Float32:
     return np.asarray(rows, np.float32)
 
 
-def run_fit(fit: Fit, steps: Steps) -> None:
-    """Run the rounds of a fit, from coarse to fine images."""
-    width = fit.recordings.size_px[0]
+def run_coarse(fit: Fit, steps: Steps) -> float:
+    """Run the first round of a fit; return how far it moves stated heights, RMS in metres.
+
+    What all touches have in common is the thickness of the gel.
+    """
     fit.refresh_gains(FIRST_DRIFT)
-    for width_px, count, moving, fit.ridge in _ROUNDS:
-        fit.set_shrink(max(1, round(width / width_px)))
-        fit.penalise(shadows=moving == _SHALLOW)
-        fit.step()
-        fit.refresh_gains()
-        for number in range(count):
-            moved = fit.step(moving)
-            steps.advance()
-            if moved < _SETTLED_MOVE:
-                steps.advance(count - 1 - number)
-                break
-        leave_out_misfits(fit)
+    _run_round(fit, steps, _COARSE_ROUND)
+    known = fit.used & (fit.spread[:, 3] < _UNKNOWN_PRESS_M)
+    moved_m = fit.poses[known, 3]
+    return float(np.std(moved_m)) if known.sum() > 1 else 0.0
+
+
+def run_fine(fit: Fit, steps: Steps) -> None:
+    """Run the rest of a fit: fine images, and then the response and the background in full size."""
+    _run_round(fit, steps, _FINE_ROUND)
     fit.choose_ridge()
     fit.set_shrink(1)
     for _ in range(_PASSES):
         fit.step()
         fit.refresh_background()
         steps.advance()
+
+
+def _run_round(fit: Fit, steps: Steps, settings: _Round) -> None:
+    fit.set_shrink(max(1, round(fit.recordings.size_px[0] / settings.width_px)))
+    fit.penalise(settings.depth_cost)
+    fit.ridge = settings.ridge
+    fit.step()
+    for number in range(settings.steps):
+        moved = fit.step(settings.moving)
+        steps.advance()
+        if moved < _SETTLED_MOVE:
+            steps.advance(settings.steps - 1 - number)
+            break
+    leave_out_misfits(fit)
+    fit.refresh_gains()
 
 
 def solid_scale(fit: Fit) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The surface of the gel of a twin, in numba: how it follows a solid, and how it is seen.
+"""The surface of the gel of a twin, in numba: how it follows a solid, whose relief is sampled, and is seen.
 
 Numbers have single precision: heights are right to about a ten-millionth of the press depth.
 """
@@ -23,6 +23,36 @@ class Blur(NamedTuple):
     halvings: int
     across: Float32
     down: Float32
+
+
+@compiled
+def sample_relief(
+    out: Float64, relief: Float32, corner: Float64, affine: Float64, span: Float64, level: float
+) -> None:
+    """Write how far a relief rises above a level, 0 where it does not.
+
+    ``out``, shape (H, W), first row at the greatest y; ``relief``, shape (rows, columns), heights in metres,
+    first row at the least y, with the values of its edge repeated outside; ``corner`` x and y of its first
+    point and the distances of its points along x and y, metres. Pixels lie at -1 to 1 across the image, times
+    ``span``, which is less than 1 for a part of it and more with a margin, with y upwards. ``affine``, shape
+    (2, 3), maps a position to x and y.
+    """
+    rows, columns = out.shape
+    high, wide = relief.shape
+    per_x, per_y = 1.0 / corner[2], 1.0 / corner[3]
+    for row in range(rows):
+        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        for column in range(columns):
+            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            x = (affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - corner[0]) * per_x
+            y = (affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - corner[1]) * per_y
+            x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
+            i, j = min(int(x), wide - 2), min(int(y), high - 2)
+            fx, fy = x - i, y - j
+            height = (1.0 - fy) * ((1.0 - fx) * relief[j, i] + fx * relief[j, i + 1]) + fy * (
+                (1.0 - fx) * relief[j + 1, i] + fx * relief[j + 1, i + 1]
+            )
+            out[row, column] = height - level if height > level else 0.0
 
 
 @compiled
@@ -77,6 +107,8 @@ def press_gel(
     margin: int,
     blurs: tuple[Blur, ...],
     insets: tuple[int, ...],
+    around: Blur,
+    rise: float,
     share: float,
     edge: float,
 ) -> Float32:
@@ -85,7 +117,8 @@ def press_gel(
     Contact begins at a ``share`` of the greatest indentation inside the margin, over a range of ``edge``
     metres; larger indentations are reduced to the greatest one. After each of the ``blurs`` but the last one,
     the gel takes the shape of the solid where it is in contact. Each blur leaves out an edge as wide as its
-    inset, which is not seen.
+    inset, which is not seen. After the first one, the gel rises by the share ``rise`` of the volume pressed
+    in, spread by the blur ``around``.
     """
     held = np.empty(indentation.shape, np.float32)
     greatest = _turn_over(held, indentation, margin)
@@ -93,12 +126,26 @@ def press_gel(
     last = len(blurs) - 1
     soft = np.empty_like(held)
     soften(soft, held, blurs[0], 0)
+    if rise:
+        raised = np.empty_like(held)
+        soften(raised, held, around, 0)
+        _subtract(soft, raised, rise)
     _hold(soft, held, 0, begin, 1.0 / edge)
     for level in range(1, last):
         soften(soft, soft, blurs[level], insets[level])
         _hold(soft, held, insets[level], begin, 1.0 / edge)
     soften(soft, soft, blurs[last], insets[last])
     return soft
+
+
+@part
+def _subtract(soft: Float32, raised: Float32, times: float) -> None:
+    """Subtract a map from another one, times a factor."""
+    factor = np.float32(times)
+    for row in range(len(soft)):
+        line, other = soft[row], raised[row]
+        for column in range(len(line)):
+            line[column] -= factor * other[column]
 
 
 @part
@@ -159,6 +206,12 @@ def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
         double(larger, small)
         small = larger
     double(out, small)
+
+
+@compiled
+def halved_map(wide: Float32) -> Float32:
+    """Return :func:`halved` of a map."""
+    return halved(wide)
 
 
 @part

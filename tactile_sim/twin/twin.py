@@ -27,7 +27,7 @@ class Twin:
 
     Attributes
     ----------
-    shape : ndarray of float64, shape (9,)
+    shape : ndarray of float64, shape (10,)
         Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first two values are 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.
@@ -93,6 +93,7 @@ class TwinOptics(Optics):
         self._twin = twin
         self._lens = lens
         self._table = gel.response_table(twin.coefficients)
+        self._view: tuple[float, ...] = ()
 
     def _shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
@@ -108,16 +109,16 @@ class TwinOptics(Optics):
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
-        behind = _part_of(self._twin.background, span, size)
+        behind, terms = self._seen(span, size)
         margin = gel.margin_px(size[1])
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, depth in enumerate(depth_m):
             if is_surface:
-                change = self._response(gel.own_surface, sensor.gel_m - depth, span, 0)
+                change = self._response(gel.own_surface, sensor.gel_m - depth, span, 0, terms)
             else:
                 # Kernels would mirror the map at its edge, where the gel would be six times as far off.
                 reach_m = surface_kernels.extend(np.ascontiguousarray(depth), sensor.gel_m, margin)
-                change = self.response(reach_m, margin, span)
+                change = self._response(gel.gel_surface, reach_m, span, margin, terms)
             surface_kernels.lay_over(out[number], change, behind)
         return out
 
@@ -127,14 +128,27 @@ class TwinOptics(Optics):
         The map has ``margin`` pixels more on each side; ``span`` is the share of the image that it shows,
         along x and y, without them.
         """
-        return self._response(gel.gel_surface, reach_m, span, margin)
+        size = tuple(side - 2 * margin for side in reach_m.shape)
+        return self._response(gel.gel_surface, reach_m, span, margin, self._seen(span, size)[1])
 
-    def _response(self, surface: Surface, reach_m: Floating, span: Float64, margin: int) -> Float32:
+    def _seen(self, span: Float64, size: tuple[int, ...]) -> tuple[Float32, Float32]:
+        """Return the background of a view, and the terms of its pixels; those of the last view are kept."""
+        view = (*span.tolist(), *size)
+        if self._view != view:
+            at_rest = self._twin.background
+            behind = _part_of(at_rest, span, size)
+            self._view = view
+            self._behind = behind, gel.position_terms(behind, span, at_rest.mean(axis=(0, 1)))
+        return self._behind
+
+    def _response(
+        self, surface: Surface, reach_m: Floating, span: Float64, margin: int, terms: Float32
+    ) -> Float32:
         shape = self._twin.shape if self._lens else gel.unbent(self._twin.shape)
         rows, columns = (side - 2 * margin for side in reach_m.shape)
         pitch_m = 2 * self._twin.half_m * span / [columns, rows]
         soft = surface(reach_m, pitch_m, shape, margin, span)
-        return gel.response(soft, pitch_m, self._twin.shape, self._table, span)
+        return gel.response(soft, pitch_m, self._twin.shape, self._table, terms, span)
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
         """Return pictures (n, H, W, 3) of solids from how far they reach into the gel, (n, H, W), metres."""

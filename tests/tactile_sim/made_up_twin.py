@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel, gel_kernels, reader
@@ -11,7 +12,7 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.twin import Twin
 
 HALF_M = np.array([0.00944, 0.00708])
-SHAPE = np.array([0.0, 0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4, 0.0])
+SHAPE = np.array([0.0, 0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4, 0.0, 0.2])
 
 
 def made_up_twin(seed: int = 0) -> Twin:
@@ -37,13 +38,22 @@ def hills() -> np.ndarray:
     return np.maximum(np.maximum(first, second), 0)
 
 
-def response_of(seen: gel.Features, coefficients: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The response (H, W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
-    y, x = ((np.arange(side) + 0.5) / side * 2 - 1 for side in size)
+def terms_of(at_rest: np.ndarray, width: int) -> np.ndarray:
+    """The terms of pixels, (H W, TERMS), by numpy and scipy; ``width`` is that of the whole image."""
+    y, x = ((np.arange(side) + 0.5) / side * 2 - 1 for side in at_rest.shape[:2])
     x, y = np.meshgrid(x, -y)
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
+    sigmas = (0.02 * width, 0.02 * width, 0)
+    smooth = ndimage.gaussian_filter(at_rest.astype(float), sigmas, mode="mirror", truncate=3)
+    colours = smooth / at_rest.mean(axis=(0, 1))
+    return np.dstack([np.ones_like(x), x, y, x * x, x * y, y * y, colours]).reshape(-1, 9)
+
+
+def response_of(seen: gel.Features, coefficients: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """The response (H W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
     entries, shares = seen
-    return np.einsum("pk,pkts,pt->ps", shares, coefficients[entries], terms).reshape(*size, 3)
+    known = coefficients.astype(float).copy()
+    known[gel_kernels.LAMPS :, : gel_kernels.COLOURS] = 0.0  # lost light grows with that at rest
+    return np.einsum("pk,pkts,pt->ps", shares, known[entries], terms)
 
 
 def without(shape: np.ndarray, *fitted: Fitted) -> np.ndarray:

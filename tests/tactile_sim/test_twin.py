@@ -13,7 +13,16 @@ from scipy import ndimage
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import calibration, fitting, gel, matching, reader, rounds_of_fit, surface_kernels
+from tactile_sim.twin import (
+    calibration,
+    fitting,
+    gel,
+    gel_kernels,
+    matching,
+    reader,
+    rounds_of_fit,
+    surface_kernels,
+)
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
@@ -83,22 +92,18 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     change = np.mean([np.abs(fit.image(each)[0] - fit.behind).mean() for each in range(6)])
     before = np.nanmedian(fit.rms)
     assert before < change
-    for _ in range(2):
-        fit.step((Fitted.WIDE, Fitted.HIGH, Fitted.GEL, Fitted.WIDTH))
-    for each in range(6):
-        fit.residual(each)
+    for _ in range(3):
+        fit.step(tuple(Fitted))
     assert np.nanmedian(fit.rms) < 0.95 * before
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
 
-def test_a_twin_that_does_not_explain_held_out_touches_is_refused(six_touches, monkeypatch):
+def test_a_twin_that_does_not_explain_held_out_touches_is_refused(six_touches):
     """Colours that suit some touches of wrong solids do not suit another touch."""
-    monkeypatch.setattr(fitting, "RIDGES", fitting.RIDGES[1::2])
     swapped = dataclasses.replace(six_touches, object_ids=1 - six_touches.object_ids)
     right, wrong = begun(six_touches), begun(swapped)
     for fit in (right, wrong):
-        for each in range(6):
-            fit.residual(each)
+        fit.step()
         fit.choose_ridge()
     assert right.explained > 0.6
     calibration._require_explained(right)
@@ -138,8 +143,9 @@ def test_gains_of_frames_are_those_of_the_light(six_touches):
     for images, expected in ((wandering, gains[:, 0, 0]), (six_touches.images, np.ones((6, 3)))):
         fit = begun(dataclasses.replace(six_touches, images=images))
         fit.refresh_gains(fitting.FIRST_DRIFT)
-        fit.step()
-        fit.refresh_gains()
+        for _ in range(2):
+            fit.step()
+            fit.refresh_gains()
         assert np.sqrt(np.mean((fit.gains - expected) ** 2)) <= 0.35 * fit.light_drift
 
 
@@ -186,14 +192,14 @@ def test_a_hidden_sensor_is_calibrated():
 def test_taxims_own_calibration_is_recovered():
     """The published calibration of Taxim, whose truth is known, is met within the bounds of a twin.
 
-    Only its shadows are not: they leave the images at more than twice the noise, a seventh of what touches
-    change.
+    Its shadows, which end at fixed lengths, are met in part: the images stay at more than twice the noise, a
+    seventh of what touches change.
     """
     pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     made, _ = score(draw_sensor(0, "published", (160, 120)))
-    assert made.image_error <= 2.6
+    assert made.image_error <= 2.8
     assert made.image_error <= 0.15 * made.background_error
-    assert made.depth_um <= 110
+    assert made.depth_um <= 60
     assert made.pitch_error <= 0.007
     assert made.placed >= 0.9
     assert made.turned >= 0.9
@@ -202,7 +208,7 @@ def test_taxims_own_calibration_is_recovered():
 @pytest.mark.thorough
 def test_images_that_show_nothing_of_the_solids_are_refused(monkeypatch):
     """Images without range, of one touch among many, and noise end in a sentence; coarse fits suffice."""
-    monkeypatch.setattr(rounds_of_fit, "_ROUNDS", rounds_of_fit._ROUNDS[:1])
+    monkeypatch.setattr(rounds_of_fit, "_FINE_ROUND", rounds_of_fit._COARSE_ROUND._replace(steps=0))
     recordings = recordings_of(draw_sensor(3, "phong", (48, 36)).record(digits(2), 6))
     white = np.full_like(recordings.images, 255)
     single = recordings.backgrounds[:1].repeat(6, axis=0)
@@ -426,12 +432,14 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
     for depth_m, image in zip(pressed.depth_m, images, strict=True):
         skin = ndimage.gaussian_filter(depth_m - model.sensor.gel_m, SHAPE[Fitted.LAST] / pitch_m[::-1])
         soft = gel.seen_through(skin.astype(np.float32), pitch_m, SHAPE)
-        plain = response_of(gel.surface_features(soft, pitch_m, SHAPE), twin.coefficients, (48, 64))
+        seen = gel.surface_features(soft, pitch_m, SHAPE)
+        terms = gel.position_terms(twin.background).reshape(-1, gel_kernels.TERMS)
+        plain = response_of(seen, twin.coefficients, terms).reshape(48, 64, 3)
         blur = [*(SHAPE[Fitted.BLUR] / pitch_m[::-1]), 0]
         shown = twin.background + ndimage.gaussian_filter(plain, blur, mode="mirror", truncate=3)
         assert np.median(np.abs(image - np.clip(shown, 0, 255))) < 0.5
-        changed.append((np.abs(image - twin.background) > 3).mean())
-    assert 0.05 < changed[0] < changed[1]
+        changed.append(np.abs(image - twin.background).mean())
+    assert 3 < changed[0] < changed[1]
 
 
 def test_rendering_leaves_pixels_at_rest_alone():
@@ -491,22 +499,43 @@ def test_stated_poses_may_be_off_by_a_millimetre():
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("hasty_reader")
+def test_heights_that_the_images_contradict_are_named_and_found():
+    """Heights that are off by 2 mm at random leave presses right to 0.15 mm, less what all have in common."""
+    sensor = dataclasses.replace(draw_sensor(2, "phong", (96, 72)), noise=1.0, jpeg=0)
+    recording = sensor.record(digits(4), 12)
+    recordings = recordings_of(recording)
+    assert rounds_of_fit.run_coarse(begun(recordings), Steps()) < calibration._MAX_HEIGHT_ERROR_M
+    off_m = np.random.default_rng(1).normal(0, 2e-3, 12)
+    wrong = dataclasses.replace(recordings, sensor_m=recordings.sensor_m + np.outer(off_m, [0, 0, 1]))
+    model = tactile_sim.calibrate(wrong)
+    named = [mistake["detail"] for mistake in model.report["mistakes"] if mistake["kind"] == "heights"]
+    assert "the images contradict the stated heights z_m" in named[0]
+    touches = model.report["touches"]
+    used = np.array([touch["used"] for touch in touches])
+    press_m = np.array([touch["press_m"] for touch in touches])
+    away_m = (press_m - recording.press_m)[used]
+    assert used.sum() >= 9
+    assert np.median(np.abs(away_m - np.median(away_m))) < 1.5e-4
+
+
+@pytest.mark.thorough
 def test_a_touch_whose_pose_is_off_is_named_and_searched():
     sensor = dataclasses.replace(draw_sensor(2, "phong", (80, 60)), noise=1.0, jpeg=0)
     recording = sensor.record(digits(4), 10)
     recordings = recordings_of(recording)
-    sensor_m = recordings.sensor_m + np.where(np.arange(10)[:, None] == 2, [0.15, 0.0, 0.0], 0.0)
+    sensor_m = recordings.sensor_m + np.where(np.arange(10)[:, None] == 6, [0.15, 0.0, 0.0], 0.0)
     moved = dataclasses.replace(recordings, sensor_m=sensor_m)
     fit = calibration._first_fit(moved, tactile_sim.SENSORS["gelsight-mini"], fitting.Steps())
-    assert fit.off[2]
-    assert fit.likely[2]
-    assert _away_m(fit.poses, recording)[2] < 1e-3
-    named = [mistake for mistake in calibration._off_poses(fit, np.arange(10)) if mistake.touches == (2,)]
+    assert fit.off[6]
+    assert fit.likely[6]
+    assert _away_m(fit.poses, recording)[6] < 1e-3
+    named = [mistake for mistake in calibration._off_poses(fit, np.arange(10)) if mistake.touches == (6,)]
     assert "was found 150" in str(named[0]) or "was found 149" in str(named[0])
     # Far away from its solid, a touch is searched everywhere, also if most are off.
     near = moved.poses_on_solids()
-    assert np.isnan(matching._near_solids(fit, near)[2]).all()
-    assert np.isfinite(np.delete(matching._near_solids(fit, near), 2, axis=0)).all()
+    assert np.isnan(matching._near_solids(fit, near)[6]).all()
+    assert np.isfinite(np.delete(matching._near_solids(fit, near), 6, axis=0)).all()
 
 
 def _away_m(places: np.ndarray, recording: Recording) -> np.ndarray:

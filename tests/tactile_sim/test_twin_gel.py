@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tactile_sim.twin import gel, gel_kernels, surface_kernels
+from tactile_sim.twin import gel, gel_kernels, surface_kernels, view_kernels
 from tactile_sim.twin.fitting import COEFFICIENTS
 from tactile_sim.twin.gel import Fitted
-from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, hills, made_up_twin, response_of, without
+from tests.tactile_sim.made_up_twin import (
+    HALF_M,
+    SHAPE,
+    hills,
+    made_up_twin,
+    response_of,
+    terms_of,
+    without,
+)
 
 
 def test_a_relief_is_sampled_under_a_turned_sensor():
@@ -20,7 +28,7 @@ def test_a_relief_is_sampled_under_a_turned_sensor():
     turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * half_m
     affine, span = np.column_stack([turned, [0.002, -0.001]]), np.array([0.9, 0.8])
     out = np.empty((12, 16))
-    gel_kernels.sample_relief(out, plane.astype(np.float32), corner, affine, span, level)
+    surface_kernels.sample_relief(out, plane.astype(np.float32), corner, affine, span, level)
     y, x = np.mgrid[11:-12:-2, -15:16:2] / [[[12]], [[16]]] * span[::-1, None, None]
     heights = np.einsum("k,kj,jrc->rc", slope, turned, np.stack([x, y])) + slope @ affine[:, 2]
     assert out == pytest.approx(np.maximum(heights - level, 0), abs=1e-8)
@@ -43,15 +51,18 @@ def test_the_optics_render_what_features_and_coefficients_give():
     pitch_m = 2 * HALF_M / [64, 48]
     soft = gel.gel_surface(hills(), pitch_m, SHAPE)
     twin = made_up_twin()
-    plain = response_of(gel.surface_features(soft, pitch_m, SHAPE), twin.coefficients.astype(float), (48, 64))
+    terms = gel.position_terms(twin.background)
+    assert terms.reshape(-1, 9) == pytest.approx(terms_of(twin.background, 64), abs=2e-3)
+    seen = gel.surface_features(soft, pitch_m, SHAPE)
+    plain = response_of(seen, twin.coefficients, terms.reshape(-1, 9)).reshape(48, 64, 3)
     assert np.abs(plain).max() > 10
     table = gel.response_table(twin.coefficients)
-    sharp = gel.response(soft, pitch_m, without(SHAPE, Fitted.BLUR), table)
+    sharp = gel.response(soft, pitch_m, without(SHAPE, Fitted.BLUR), table, terms)
     assert sharp == pytest.approx(plain, abs=1e-3)
     shape = without(SHAPE, Fitted.BLUR) + 4e-4 * (np.arange(len(SHAPE)) == Fitted.BLUR)
     sigmas = [*(4e-4 / pitch_m[::-1]), 0]
     blurred = ndimage.gaussian_filter(plain, sigmas, mode="mirror", truncate=3)
-    assert gel.response(soft, pitch_m, shape, table) == pytest.approx(
+    assert gel.response(soft, pitch_m, shape, table, terms) == pytest.approx(
         blurred, abs=5e-3 * np.abs(blurred).max()
     )
 
@@ -60,14 +71,40 @@ def test_slopes_exactly_along_an_axis_have_an_entry():
     """The direction of a slope along x is the first one, not the one after the last."""
     pitch_m, (rows, columns) = np.array([3e-4, 3e-4]), (20, 30)
     coefficients = made_up_twin().coefficients
+    terms = gel.position_terms(np.full((rows, columns, 3), 90, np.float32))
     along = np.arange(columns) * 1e-4 - 0.004
     for soft in (np.tile(along, (rows, 1)), np.tile(along[:rows, None], (1, columns))):
         soft = soft.astype(np.float32)
         for turned in (soft, np.ascontiguousarray(soft[::-1, ::-1])):
-            plain = response_of(gel.surface_features(turned, pitch_m, SHAPE), coefficients, (rows, columns))
+            seen = gel.surface_features(turned, pitch_m, SHAPE)
+            plain = response_of(seen, coefficients, terms.reshape(-1, 9)).reshape(rows, columns, 3)
             sharp = without(SHAPE, Fitted.BLUR)
-            found = gel.response(turned, pitch_m, sharp, gel.response_table(coefficients))
-            assert found == pytest.approx(plain, abs=0.02)
+            table = gel.response_table(coefficients)
+            assert gel.response(turned, pitch_m, sharp, table, terms) == pytest.approx(plain, abs=0.02)
+
+
+def test_light_is_lost_behind_what_rises_above_the_ray_of_a_lamp():
+    """Beside a wall, lamps behind it are lost as far as its height over their tangent, others are not.
+
+    Where all of a lamp is lost, level gel loses the sine of its elevation (Lambert).
+    """
+    rows, columns, pitch = 40, 96, 1e-4
+    wall_m, foot = 1.2e-3, 30
+    soft = np.zeros((rows, columns), np.float32)
+    soft[:, :foot] = -wall_m
+    _, shares = gel.surface_features(soft, np.array([pitch, pitch]), without(SHAPE, Fitted.LENS))
+    lost = -shares[:, -gel_kernels.AZIMUTHS * len(gel_kernels.HEIGHTS) :].reshape(rows, columns, -1)
+    line = lost[rows // 2].reshape(columns, gel_kernels.AZIMUTHS, len(gel_kernels.HEIGHTS))
+    behind = gel_kernels.AZIMUTHS // 2  # the wall is on the left
+    away_m = (np.arange(columns) - foot + 0.5) * pitch
+    for height, tangent in enumerate(gel_kernels.HEIGHTS.tolist()):
+        dark = line[:, behind, height]
+        sine = tangent / np.hypot(1, tangent)
+        inside = (away_m > 3 * pitch) & (away_m < 0.7 * wall_m / (tangent + 0.1))
+        assert dark[inside] == pytest.approx(np.full(inside.sum(), sine), abs=1e-3)
+        assert not dark[away_m > 1.2 * wall_m / tangent].any()
+    assert not line[foot:, 0].any()
+    assert not lost[:, :foot].any()
 
 
 @pytest.mark.parametrize(("value", "size"), [(Fitted.LENS, 0.06), (Fitted.CAMERA, 28.0)])
@@ -78,7 +115,7 @@ def test_slopes_that_a_camera_sees_are_those_of_the_gel(value: Fitted, size: flo
     flat, bent = without(SHAPE, Fitted.LENS), without(SHAPE, Fitted.LENS)
     bent[value] = size
     seen = gel.seen_through((0.3 * x - 0.2 * y).astype(np.float32), pitch_m, bent, margin)
-    steepness = slice(0, 8, 4)  # first entries of both directions
+    steepness = slice(0, 4, 2)  # first entries of both directions
     plane = np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12])
     entries, straight = gel.surface_features(plane.astype(np.float32), pitch_m, flat)
     found, shares = gel.surface_features(seen, pitch_m, bent)
@@ -99,21 +136,23 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
         steep = 0.1 + 0.05 * angle
         soft = np.float32(steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01)
         entries, shares = gel.surface_features(soft, pitch_m, without(SHAPE, Fitted.LENS))
-        middle = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
-        assert middle[1].sum() == pytest.approx(2, abs=1e-5)  # one for each table
-        turn = np.array([middle[1][:4].sum(), middle[1][4:].sum()]) / 2
-        first = middle[0][0] // (2 * gel_kernels.STEPS)
-        found = (first + turn[1]) * 2 * np.pi / gel_kernels.TURNS
+        entry, share = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
+        assert share[:4].sum() == pytest.approx(1, abs=1e-5)
+        first = entry[0] // view_kernels.STEPS
+        found = (first + share[2:4].sum()) * 2 * np.pi / view_kernels.TURNS
         assert np.cos(found - angle) > np.cos(0.006)
-        half = np.tan(np.arctan(steep) / 2) / gel_kernels.STEEPEST
-        place = middle[0][0] % (2 * gel_kernels.STEPS) + middle[1][[1, 5]].sum()
-        assert place == pytest.approx((gel_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
+        half = np.tan(np.arctan(steep) / 2) / view_kernels.STEEPEST
+        place = entry[0] % view_kernels.STEPS + share[[1, 3]].sum()
+        assert place == pytest.approx((view_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
+        # 0.01 m are deeper than the table: all of its last entry.
+        assert entry[5] == gel_kernels.LAMPS - 1
+        assert share[5] == pytest.approx(1, abs=1e-3)
 
 
 def test_a_gel_at_rest_does_not_respond():
     """Where the gel is level, there are no shares, and the kernel of the optics writes zeros."""
     entries, shares = gel.surface_features(np.zeros((20, 30), np.float32), np.array([1e-4, 1e-4]), SHAPE)
-    assert not entries.any()
+    assert entries.shape == (600, gel_kernels.ACTIVE)
     assert not shares.any()
 
 
@@ -132,25 +171,27 @@ def test_normal_equations_are_those_of_the_dense_matrix():
     rng = np.random.default_rng(1)
     pitch_m = 2 * HALF_M / [64, 48]
     seen = gel.surface_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
-    first, last = np.unique(seen[0])[:6], np.unique(seen[0])[-6:]
-    used = np.concatenate([first, last])  # directions that are neighbours across the whole turn
+    met = np.unique(seen[0][seen[1] != 0])
+    # Directions that are neighbours across the whole turn, depths, and light that is lost.
+    used = np.unique([*met[:6], *met[met < gel_kernels.SLOPES][-6:], *met[-8:]])
+    terms = gel.position_terms(made_up_twin().background)
     dense = []
     for entry in used:
         for place in range(gel_kernels.TERMS):
             single = np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3))
             single[entry, place, 0] = 1
-            dense.append(response_of(seen, single, (48, 64))[..., 0].ravel())
+            dense.append(response_of(seen, single, terms.reshape(-1, 9))[:, 0])
     matrix = np.array(dense).T
     weights = rng.uniform(0, 1, (48, 64)).astype(np.float32)
-    given = rng.normal(size=(48, 64, 2)).astype(np.float32)
+    columns = rng.normal(size=(48, 64, 2)).astype(np.float32)
     normal, products = np.zeros((COEFFICIENTS, COEFFICIENTS)), np.zeros((COEFFICIENTS, 2))
-    gel_kernels.add_normal(normal, *seen, weights)
-    gel_kernels.add_products(products, *seen, (weights[..., None] * given).astype(float))
+    gel_kernels.add_normal(normal, *seen, terms, weights)
+    gel_kernels.add_products(products, *seen, terms, (weights[..., None] * columns).astype(float))
     at = (used[:, None] * gel_kernels.TERMS + np.arange(gel_kernels.TERMS)).ravel()
     weighed = matrix * weights.reshape(-1, 1)
-    assert normal[np.ix_(at, at)] == pytest.approx(np.tril(weighed.T @ matrix), abs=1e-6)
-    assert np.abs((weighed.T @ matrix)[36:, :36]).max() > 1e-3
-    assert products[at] == pytest.approx(weighed.T @ given.reshape(-1, 2), abs=1e-6)
+    assert normal[np.ix_(at, at)] == pytest.approx(np.tril(weighed.T @ matrix), abs=1e-5)
+    assert np.abs((weighed.T @ matrix)[54:, :54]).max() > 1e-3
+    assert products[at] == pytest.approx(weighed.T @ columns.reshape(-1, 2), abs=1e-5)
 
 
 @pytest.mark.parametrize("lens", [-0.2, 0.0, 0.15])
