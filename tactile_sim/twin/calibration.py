@@ -73,23 +73,10 @@ def calibrate(
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
-    if any(mistake.kind == "heights" for mistake in mistakes):
-        recordings = recordings.without_heights()
     unsaturated_shares = recordings.unsaturated_shares()
     usable = np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED)
     steps = Steps(on_progress, rounds_of_fit.STEPS + training_steps())
-    fit = _usable_fit(recordings, start, mistakes, usable, steps)
-    error_m = rounds_of_fit.run_coarse(fit, steps)
-    if error_m > _MAX_HEIGHT_ERROR_M:
-        detail = (
-            f"the images contradict the stated heights z_m, by {1e3 * error_m:.2f} mm or more: heights are "
-            "not used, but found from the images"
-        )
-        mistakes.append(Mistake("heights", detail, 1e3 * error_m))
-        fit = _usable_fit(recordings.without_heights(), start, mistakes, usable, Steps())
-        rounds_of_fit.run_coarse(fit, Steps())
-    rounds_of_fit.run_fine(fit, steps)
-    _require_explained(fit)
+    fit = _fitted(recordings, start, mistakes, usable, steps)
     mistakes += [*_off_poses(fit, usable), *_wandering_light(fit), *_other_size(fit)]
     report = {**rounds_of_fit.fit_report(fit), "mistakes": [asdict(mistake) for mistake in mistakes]}
     for touch in np.flatnonzero(unsaturated_shares < MIN_UNSATURATED).tolist():
@@ -102,6 +89,30 @@ def calibrate(
     report["residual_levels"] = _residual_levels(twin, fit)
     report |= detail_levels(recordings.images)
     return model_of(twin, name)
+
+
+def _fitted(
+    recordings: Recordings, start: SensorModel, mistakes: list[Mistake], usable: Int64, steps: Steps
+) -> Fit:
+    """Run a fit to the usable touches; without stated heights, which is one more mistake, if they are wrong.
+
+    Raises InputError if too few touches can be used, or the solids explain little of the images.
+    """
+    if any(mistake.kind == "heights" for mistake in mistakes):
+        recordings = recordings.without_heights()
+    fit = _usable_fit(recordings, start, mistakes, usable, steps)
+    error_m = rounds_of_fit.run_coarse(fit, steps)
+    if error_m > _MAX_HEIGHT_ERROR_M:
+        detail = (
+            f"the images contradict the stated heights z_m, by {1e3 * error_m:.2f} mm or more: heights are "
+            "not used, but found from the images"
+        )
+        mistakes.append(Mistake("heights", detail, 1e3 * error_m))
+        fit = _usable_fit(recordings.without_heights(), start, mistakes, usable, Steps())
+        rounds_of_fit.run_coarse(fit, Steps())
+    rounds_of_fit.run_fine(fit, steps)
+    _require_explained(fit)
+    return fit
 
 
 def _usable_fit(

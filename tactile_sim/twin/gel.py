@@ -26,7 +26,7 @@ _REACH = 4.0  # of the gel's kernels, in standard deviations
 # Standard deviations in pixels from which a map is halved before it is blurred, and from which it is halved
 # again: a smaller map is mirrored at an edge that lies farther away.
 _HALVED_PX = (3.7, 7.0)
-_MIN_HALVED_PX = 32  # width of maps that are halved
+_MIN_HALVED_PX = 32  # sides of maps that are halved
 _CAMERA_REACH = 3.0
 _MARGIN = 0.12  # of the width of an image
 _SMOOTH = 0.02  # standard deviation by which colours at rest are blurred, of the width
@@ -218,8 +218,8 @@ def _lost_light(
 ) -> tuple[Float32, float]:
     """Return the lost light of a surface on a map of at most :data:`_LOST_PX`, and how much smaller it is."""
     scale = 1.0
-    while soft.shape[1] > _LOST_PX:
-        soft = surface_kernels.halved_map(soft)
+    while soft.shape[1] > _LOST_PX and len(soft) >= _MIN_HALVED_PX:
+        soft = surface_kernels.halved(soft)
         scale /= 2
     view = view_of(soft.shape, pitch_m / scale, shape, span)
     return gel_kernels.lost_light(soft, view, _REACHES_M), scale

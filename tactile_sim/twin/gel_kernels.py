@@ -283,11 +283,7 @@ def render_response(
             left = unit - right
             g, h = behind[i], behind[i + 1]
             x = column_x(column, columns, view)
-            red, green, blue = (
-                terms[row, column, COLOURS],
-                terms[row, column, COLOURS + 1],
-                terms[row, column, 8],
-            )
+            red, green, blue = terms[row, column, COLOURS:]
             for k in range(4):
                 lit = red * (total[12 + k] + (left * g[k] + right * h[k]))
                 lit += green * (total[16 + k] + (left * g[4 + k] + right * h[4 + k]))

@@ -209,12 +209,6 @@ def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
 
 
 @compiled
-def halved_map(wide: Float32) -> Float32:
-    """Return :func:`halved` of a map."""
-    return halved(wide)
-
-
-@part
 def halved(wide: Float32) -> Float32:
     """Return a map of half the size, averaged with the weights 1, 3, 3, 1; the edge is repeated."""
     rows, columns = wide.shape

@@ -103,6 +103,7 @@ def test_a_twin_that_does_not_explain_held_out_touches_is_refused(six_touches):
     swapped = dataclasses.replace(six_touches, object_ids=1 - six_touches.object_ids)
     right, wrong = begun(six_touches), begun(swapped)
     for fit in (right, wrong):
+        fit.penalise(fitting.DEPTH_COST)
         fit.step()
         fit.choose_ridge()
     assert right.explained > 0.6
@@ -264,6 +265,15 @@ def test_maps_smaller_than_vectors_of_kernels_are_refused():
     model = model_of(made_up_twin(), "mine")
     with pytest.raises(InputError, match="at least 16 pixels"):
         model.optics.render(SMALL, model.sensor, (64, 48))
+
+
+def test_narrow_strips_are_rendered():
+    """A map of which one side is far longer is not made smaller than kernels can take."""
+    model = model_of(made_up_twin(), "mine")
+    window = dataclasses.replace(model.sensor, size_px=(640, 16), window_m=(2 * HALF_M[0], HALF_M[0] / 20))
+    strip = model.sensor.gel_m - np.linspace(0, 1e-3, 640) * np.ones((1, 16, 1))
+    image = model.optics.render(strip, window, (640, 16))
+    assert (image.std(axis=(1, 2)) > 1).all()
 
 
 def test_images_of_a_twin_do_not_depend_on_their_batch():
