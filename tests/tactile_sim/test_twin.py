@@ -34,6 +34,7 @@ from tests.short_training import shorten_training
 from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
 from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, hills, made_up_twin, response_of, without
 from tests.tactile_sim.solids import ball, block
+from tests.tactile_sim.third_sensors import draw_third
 from tests.tactile_sim.twin_scores import recordings_of, score
 
 
@@ -204,6 +205,18 @@ def test_taxims_own_calibration_is_recovered():
     assert made.pitch_error <= 0.007
     assert made.placed >= 0.9
     assert made.turned >= 0.9
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("hasty_reader")
+def test_a_sensor_with_near_lamps_an_elastic_gel_and_a_near_camera_is_met():
+    """Shadows, the rise of the gel and the distance of the camera are part of the fit."""
+    made, model = score(draw_third(101), held_out=4)
+    assert made.image_error <= 2.0
+    assert made.depth_um <= 60
+    assert made.pitch_error <= 0.007
+    assert made.placed >= 0.9
+    assert 30 < model.report["camera_mm"] < 50
 
 
 @pytest.mark.thorough
