@@ -35,7 +35,7 @@ _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
-# Weights of the penalty: of the terms of the position, of the entries of steepness and of depth.
+# Weights of the penalty: of the terms of an entry, of the entries of slopes and of lamps, and of depths.
 _TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0, 3.0, 3.0, 3.0])
 _ENTRY_COST, _LAMP_COST = 1e-4, 0.01
 _LEVEL_COST = 30.0  # of a response where the gel is level, which would end abruptly there
