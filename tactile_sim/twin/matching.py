@@ -17,7 +17,7 @@ import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel, gel_kernels
-from tactile_sim.twin.fitting import Fit, Steps
+from tactile_sim.twin.fitting import DEPTH_COST, Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.pose_search import (
     NEAR_M,
@@ -98,6 +98,7 @@ def are_off(fit: Fit) -> Bool:
     """Return which poses (N,) are too far off for a fit to correct: they explain little of their image."""
     _set_width(fit, _FIT_PX)
     fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
+    fit.penalise(DEPTH_COST)
     for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
         fit.step(moving)
     for touch in range(len(fit.poses)):
