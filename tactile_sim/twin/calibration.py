@@ -197,11 +197,25 @@ def _other_size(fit: Fit) -> list[Mistake]:
 
 
 def _off_poses(fit: Fit, usable: Int64) -> Iterator[Mistake]:
-    """Yield the touches whose stated pose did not explain their image, by their numbers ``usable``."""
+    """Yield the touches whose stated pose did not explain their image, by their numbers ``usable``.
+
+    If these are most touches, the mistake is one of all of them.
+    """
     poses = fit.recordings.poses_on_solids()
+    if poses is None:
+        return
+    distances_mm = 1e3 * np.hypot(*(fit.poses[:, :2] - poses[:, :2]).T)
+    if fit.off.mean() >= _MOST_OFF:
+        usual_mm = float(np.median(distances_mm[fit.off]))
+        detail = (
+            f"the poses of {fit.off.sum()} of {len(fit.off)} touches do not explain their images; they were "
+            f"searched, and found {usual_mm:.1f} mm away in the median; "
+            f"{np.count_nonzero(fit.off & ~fit.used)} are left out"
+        )
+        yield Mistake("pose", detail, usual_mm, tuple(usable[fit.off].tolist()))
+        return
     for touch in np.flatnonzero(fit.off).tolist():
-        assert poses is not None, "poses that are off were stated"
-        away_mm = 1e3 * float(np.hypot(*(fit.poses[touch, :2] - poses[touch, :2])))
+        away_mm = float(distances_mm[touch])
         fate = f"it was found {away_mm:.1f} mm away"
         if not fit.used[touch]:
             fate = "and no other pose does: it is left out"
@@ -234,11 +248,11 @@ def _first_fit(recordings: Recordings, start: SensorModel, steps: Steps) -> Fit:
         off = matching.are_off(stated)
         if off.mean() < _MOST_OFF:
             if off.any():
-                found, likely = matching.found_poses(stated, off, start)
-                poses[off], level_m[off] = found[off, :3], np.nan
+                searched, likely = matching.found_poses(stated, off, start)
+                poses[off], level_m[off] = searched[off, :3], np.nan
             fit = rounds_of_fit.start_fit(recordings, poses, level_m, start)
             for touch in np.flatnonzero(off).tolist():
-                matching.set_pose(fit, touch, found[touch])
+                matching.set_pose(fit, touch, searched[touch])
                 fit.likely[touch] = likely[touch]
             fit.off = off
             return fit

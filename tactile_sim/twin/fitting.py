@@ -334,8 +334,8 @@ class Fit:
             weight = mask[..., None] / (1 + far * far)
             total += weight * (image - base)
             share += weight
-        found = (total / share).astype(np.float32)
-        self.background = np.where(is_least, np.maximum(found, self.at_rest), found)
+        mean = (total / share).astype(np.float32)
+        self.background = np.where(is_least, np.maximum(mean, self.at_rest), mean)
         self.behind = self.background
         self.terms = gel.position_terms(self.behind)
 

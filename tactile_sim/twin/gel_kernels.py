@@ -60,7 +60,9 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
     """
     rows, columns = soft.shape
     out = np.zeros((AZIMUTHS, rows, columns), np.float32)
-    pad_x, pad_y = int(reaches[-1] / view.pitch_x) + 2, int(reaches[-1] / view.pitch_y) + 2
+    # Outside, the edge goes on: what lies farther away than a side of the map is the edge too.
+    pad_x = min(int(reaches[-1] / view.pitch_x), columns) + 2
+    pad_y = min(int(reaches[-1] / view.pitch_y), rows) + 2
     wide = np.empty((rows + 2 * pad_y, columns + 2 * pad_x), np.float32)
     for row in range(len(wide)):
         line = soft[min(max(row - pad_y, 0), rows - 1)]
@@ -69,8 +71,10 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
         wide[row, pad_x + columns :] = line[columns - 1]
     for azimuth in range(AZIMUTHS):
         for reach in reaches:
-            x = pad_x + _TOWARDS[azimuth, 0] * reach / view.pitch_x
-            y = pad_y - _TOWARDS[azimuth, 1] * reach / view.pitch_y
+            across = _TOWARDS[azimuth, 0] * reach / view.pitch_x
+            up = _TOWARDS[azimuth, 1] * reach / view.pitch_y
+            x = pad_x + min(max(across, -columns), columns)
+            y = pad_y - min(max(up, -rows), rows)
             i, j = int(x), int(y)
             right, below = np.float32(x - i), np.float32(y - j)
             left, above = np.float32(1.0) - right, np.float32(1.0) - below

@@ -9,6 +9,7 @@ import numpy as np
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin.fitting import DEPTH_COST, FIRST_DRIFT, NO_DEPTH_COST, Fit, Steps
 from tactile_sim.twin.gel import Fitted
+from tactile_sim.twin.mistakes import MIN_TOUCHES
 from tactile_sim.twin.recordings import Recordings, Relief
 from tactile_toolkit.value_types import Float32, Float64
 
@@ -129,12 +130,13 @@ def _run_round(fit: Fit, steps: Steps, settings: _Round) -> None:
 def solid_scale(fit: Fit) -> tuple[float, float]:
     """Return the size of the touched solids over that of their meshes, and its standard deviation.
 
-    The images only tell where meshes were touched; the stated positions are those on the solids.
+    The images only tell where meshes were touched; the stated positions are those on the solids. Without
+    enough stated positions, the size is 1 and its deviation infinite.
     """
     poses = fit.recordings.poses_on_solids()
-    if poses is None:
-        return 1.0, np.inf
     trusted = fit.used & ~fit.off
+    if poses is None or trusted.sum() < MIN_TOUCHES:
+        return 1.0, np.inf
     stated = poses[trusted, :2] - poses[trusted, :2].mean(axis=0)
     matched = fit.poses[trusted, :2] - fit.poses[trusted, :2].mean(axis=0)
     square = float((matched * matched).sum()) + 1e-12

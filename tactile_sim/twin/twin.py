@@ -93,7 +93,7 @@ class TwinOptics(Optics):
         self._twin = twin
         self._lens = lens
         self._table = gel.response_table(twin.coefficients)
-        self._view: tuple[float, ...] = ()
+        self._last: tuple[tuple[float, ...], Float32, Float32] | None = None
 
     def _shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
@@ -134,12 +134,13 @@ class TwinOptics(Optics):
     def _seen(self, span: Float64, size: tuple[int, ...]) -> tuple[Float32, Float32]:
         """Return the background of a view, and the terms of its pixels; those of the last view are kept."""
         view = (*span.tolist(), *size)
-        if self._view != view:
+        last = self._last  # once: another thread may render another view
+        if last is None or last[0] != view:
             at_rest = self._twin.background
             behind = _part_of(at_rest, span, size)
-            self._view = view
-            self._behind = behind, gel.position_terms(behind, span, at_rest.mean(axis=(0, 1)))
-        return self._behind
+            last = view, behind, gel.position_terms(behind, span, at_rest.mean(axis=(0, 1)))
+            self._last = last
+        return last[1:]
 
     def _response(
         self, surface: Surface, reach_m: Floating, span: Float64, margin: int, terms: Float32

@@ -159,6 +159,8 @@ def test_prints_that_are_too_small_change_lengths_and_no_image(six_touches):
     scale, deviation = rounds_of_fit.solid_scale(fit)
     assert scale == pytest.approx(0.995, abs=1e-6)
     assert deviation < 1e-6
+    fit.off[1:] = True
+    assert rounds_of_fit.solid_scale(fit) == (1.0, np.inf)  # one stated position tells no size
     before = fit.rendered(0, fit.poses[0], fit.shape), fit.seen_depth_m(0).max(), fit.half_m(fit.shape)
     fit.rescale(scale)
     assert fit.rendered(0, fit.poses[0], fit.shape) == pytest.approx(before[0], abs=0.2)

@@ -107,6 +107,19 @@ def test_light_is_lost_behind_what_rises_above_the_ray_of_a_lamp():
     assert not lost[:, :foot].any()
 
 
+def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
+    """A window that is smaller than the reach of a shadow needs no map of that size."""
+    rng = np.random.default_rng(0)
+    soft = ndimage.gaussian_filter(rng.normal(0, 4e-4, (24, 36)), 3).astype(np.float32)
+    lost = []
+    for surface in (soft, np.pad(soft, 80, mode="edge")):
+        view = gel.view_of(surface.shape, np.array([2e-5, 3e-5]), without(SHAPE, Fitted.LENS))
+        lost.append(gel_kernels.lost_light(surface, view, np.geomspace(1e-4, 6e-3, 5)))
+    assert (lost[0] < 0).any()
+    inner = lost[1][81:-81, 81:-81]  # slopes at an edge are those of one side
+    assert lost[0][1:-1, 1:-1] == pytest.approx(inner, abs=1e-4)
+
+
 @pytest.mark.parametrize(("value", "size"), [(Fitted.LENS, 0.06), (Fitted.CAMERA, 28.0)])
 def test_slopes_that_a_camera_sees_are_those_of_the_gel(value: Fitted, size: float):
     """A plane keeps its slope wherever a lens or a pinhole near it shows it."""
