@@ -162,7 +162,7 @@ def gallery(
                 on_progress=update,
             )
     except KeyboardInterrupt as error:
-        # The default message says that finished work is kept; half a gallery is not.
+        # The default message says that finished parts are kept; half a gallery is not.
         raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
     items = with_count(site.items, page.nouns[1])
     content = {"items": site.items, "splits": site.splits}

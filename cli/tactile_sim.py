@@ -291,12 +291,6 @@ def calibrate(
     mistakes = tactile_sim.find_mistakes(recordings, start)
     for mistake in mistakes:
         sink.warn(f"{mistake.kind}: {mistake}")
-    fatal = [mistake.kind for mistake in mistakes if mistake.is_fatal]
-    if fatal:
-        raise InputError(
-            f"{source!r} cannot be used for a calibration: {', '.join(fatal)}; nothing was written",
-            next="correct the recordings, and run the command again",
-        )
     with sink.progress("calibrating", "steps") as update:
         model = tactile_sim.calibrate(recordings, name=out.name, start=start, on_progress=update)
     model.save(out, overwrite=overwrite)

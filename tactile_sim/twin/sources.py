@@ -182,13 +182,21 @@ def _of_line(root: Path, line: Mapping[str, Any], line_name: str) -> _Touched:
 
 
 def _numbers(values: Sequence[Any], name: str, table_name: str) -> list[float | None]:
-    """Return the numbers of a column, None for a missing one; InputError for anything else."""
-    numbers: list[float | None] = []
+    """Return the numbers of a column, None for a missing one; InputError, which names it, for anything else.
+
+    One word makes all of a column text: the word is named, not the numbers beside it.
+    """
     for row, value in enumerate(values):
-        if isinstance(value, str) or (value is not None and not np.isfinite(value)):
+        if value is not None and not _is_number(value):
             raise InputError(f"{table_name}, line {row + 2}: {name} is {value!r}; expected a number")
-        numbers.append(value)
-    return numbers
+    return [None if value is None else float(value) for value in values]
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        return bool(np.isfinite(float(value))) and "_" not in str(value)
+    except ValueError:
+        return False
 
 
 def spaced(count: int, most: int) -> list[int]:

@@ -77,7 +77,7 @@ def test_messages_about_a_run_that_was_stopped_before_its_first_shard(tmp_path):
     process.send_signal(signal.SIGINT)
     _, talked = process.communicate()
     assert process.returncode == 130
-    assert talked == b"interrupted; finished work is kept, and the same command continues from there\n"
+    assert talked == b"interrupted; finished parts are kept, and the same command continues from them\n"
     assert not (tmp_path / "scenes").exists()
 
 

@@ -113,6 +113,7 @@ def test_images_alone_have_no_poses_and_one_solid_needs_no_name(folder: Path) ->
         ("file,object\n../outside.png,0\n", "outside"),
         ("file,object\nabsent.png,0\n", r"there is no image .*absent\.png"),
         ("file,object,x_m\n0000.png,0,far\n", r"line 2: x_m is 'far'; expected a number"),
+        ("file,object,x_m\n0000.png,0,1.5\n0001.png,0,far\n", r"line 3: x_m is 'far'; expected a number"),
         ('file,object,x_m\n0000.png,0,"1,234"\n', r"line 2: x_m is '1,234'; expected a number"),
         ("file,object,x_m\n0000.png,0,1_0\n", r"line 2: x_m is '1_0'; expected a number"),
         ("file,object,x_m\n0000.png,0,inf\n", r"line 2: x_m is inf; expected a number"),
