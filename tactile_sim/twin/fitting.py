@@ -10,6 +10,7 @@ out the blur of the camera. This shortens their steps and does not change where 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,16 +36,10 @@ _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
-# Weights of the penalty: of the terms of an entry, of the entries of slopes and of lamps, and of depths.
+# Weights of the penalty: of the terms of an entry, and of the entries of slopes and of lamps.
 _TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0, 3.0, 3.0, 3.0])
-_ENTRY_COST, _LAMP_COST = 1e-4, 0.01
+_ENTRY_COST, _LAMP_COST = 1e-4, 1e-3
 _LEVEL_COST = 30.0  # of a response where the gel is level, which would end abruptly there
-DEPTH_COST = 0.1
-"""Cost of the response to depth where images are fine enough to tell it from depth itself."""
-
-NO_DEPTH_COST = 1e3
-"""The same elsewhere, which suppresses this response."""
-
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
 _NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
@@ -57,13 +52,14 @@ FIRST_DRIFT = 0.015
 ALIKE_PX = 200.0
 """Number of pixels whose residuals are correlated, so that they count as one."""
 
-RIDGES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0)
 
 
-def _penalty(depth_cost: float) -> Float64:
-    """Return the matrix that penalises deviations from a response that is linear in the slopes.
+@lru_cache(maxsize=1)
+def _penalty() -> Float64:
+    """Return the matrix that penalises what the table adds to lamps, unless it is linear in the slopes.
 
-    Such a response is a sine of the direction, and grows from 0 at rest with the square of the index of
+    A linear response is a sine of the direction, and grows from 0 at rest with the square of the index of
     steepness; matte gels respond like this. A geometry that is fitted with a high ridge therefore suits most
     gels.
     """
@@ -74,10 +70,8 @@ def _penalty(depth_cost: float) -> Float64:
     steep = np.vstack([np.diff(steps, 3, axis=0), _LEVEL_COST * steps[:1]])
     slopes = np.kron(around.T @ around, steps)
     slopes += np.kron(directions, steep.T @ steep + _ENTRY_COST * steps)
-    deep = np.diff(np.eye(1 + view_kernels.DEPTHS), 2, axis=0)[:, 1:]  # 0 at rest
-    depths = deep.T @ deep + depth_cost * np.eye(view_kernels.DEPTHS)
-    lamps = _LAMP_COST * np.eye(gel_kernels.ENTRIES - gel_kernels.LAMPS)
-    cost = scipy.linalg.block_diag(slopes, depths, lamps)
+    lamps = _LAMP_COST * np.eye(gel_kernels.ENTRIES - gel_kernels.SLOPES)
+    cost = scipy.linalg.block_diag(slopes, lamps)
     return np.asarray(np.kron(cost, np.diag(_TERM_COST)))
 
 
@@ -115,7 +109,7 @@ class Fit:
     level_m: Float64
     spread: Float64
     background: Float32 = field(repr=False)
-    ridge: float = 1e-4
+    ridge: float = 0.1
     coefficients: Float64 = field(
         default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3)), repr=False
     )
@@ -137,12 +131,7 @@ class Fit:
         self.lit = unsaturated(self.background)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
-        self.penalise(NO_DEPTH_COST)
         self.set_shrink(1)
-
-    def penalise(self, depth_cost: float) -> None:
-        """Set the penalty of the response, with this cost of the response to depth, in further steps."""
-        self.penalty = _penalty(depth_cost)
 
     def set_shrink(self, shrink: int) -> None:
         """Shrink the images by a factor in further steps."""
@@ -357,7 +346,7 @@ class Fit:
         errors = []
         changes = []
         for ridge in RIDGES:
-            cost = ridge * train.scale * self.penalty
+            cost = ridge * train.scale * _penalty()
             factor = scipy.linalg.cho_factor(train.normal + cost, lower=True, check_finite=False)
             right = train.products[:, 0] - cost @ before.reshape(COEFFICIENTS, 3)
             change = scipy.linalg.cho_solve(factor, right, check_finite=False)
@@ -425,7 +414,7 @@ class _Sums:
 
     def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
         """Update the response of a fit, and return the moves of its geometry and poses."""
-        penalty = fit.ridge * self.scale * fit.penalty
+        penalty = fit.ridge * self.scale * _penalty()
         before = fit.coefficients.reshape(COEFFICIENTS, 3)
         factor = scipy.linalg.cho_factor(self.normal + penalty, lower=True, check_finite=False)
         right = self.products

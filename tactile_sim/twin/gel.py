@@ -30,7 +30,8 @@ _MIN_HALVED_PX = 32  # sides of maps that are halved
 _CAMERA_REACH = 3.0
 _MARGIN = 0.12  # of the width of an image
 _SMOOTH = 0.02  # standard deviation by which colours at rest are blurred, of the width
-_LOST_PX = 100  # width of the maps of lost light; the penumbra is about as wide as their pixels
+_LIGHT_PX = 100  # width of the maps of light; the penumbra is about as wide as their pixels
+_RING = 1.28  # distance of lamps from the middle, in halves of the diagonal: 15 mm for a GelSight Mini
 _REACHES_M = np.geomspace(2.5e-4, 6e-3, 10)  # at which the gel is compared with a pixel
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
@@ -180,16 +181,18 @@ def view_of(
     """Return how a surface (H, W) of a size is seen through the lens of ``shape``."""
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, size, span)
-    lens, camera, gel_m = shape[[Fitted.LENS, Fitted.CAMERA, Fitted.GEL]].tolist()
-    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, gel_m)
+    lens, camera = shape[[Fitted.LENS, Fitted.CAMERA]].tolist()
+    half_x, half_y = size[1] * pitch_x / (2 * span_x), size[0] * pitch_y / (2 * span_y)
+    ring_m = _RING * float(np.hypot(half_x, half_y))
+    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, ring_m)
 
 
 def surface_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Features:
     """Return the entries of the response that each pixel of a surface depends on, and their shares."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    lost, scale = _lost_light(soft, pitch_m, shape)
-    gel_kernels.features(soft, lost, scale, view_of(soft.shape, pitch_m, shape), entries, shares)
+    light, scale = _lamp_light(soft, pitch_m, shape)
+    gel_kernels.features(soft, light, scale, view_of(soft.shape, pitch_m, shape), entries, shares)
     return entries, shares
 
 
@@ -213,16 +216,16 @@ def position_terms(at_rest: Float32, span: Float64 = WHOLE, mean: Floating | Non
     return out
 
 
-def _lost_light(
+def _lamp_light(
     soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
 ) -> tuple[Float32, float]:
-    """Return the lost light of a surface on a map of at most :data:`_LOST_PX`, and how much smaller it is."""
+    """Return the light of lamps on a map of at most :data:`_LIGHT_PX`, and how much smaller the map is."""
     scale = 1.0
-    while soft.shape[1] > _LOST_PX and len(soft) >= _MIN_HALVED_PX:
+    while soft.shape[1] > _LIGHT_PX and len(soft) >= _MIN_HALVED_PX:
         soft = surface_kernels.halved(soft)
         scale /= 2
     view = view_of(soft.shape, pitch_m / scale, shape, span)
-    return gel_kernels.lost_light(soft, view, _REACHES_M), scale
+    return gel_kernels.lamp_light(soft, view, _REACHES_M), scale
 
 
 def response_table(coefficients: Floating) -> Float32:
@@ -245,9 +248,9 @@ def response(
     ``table`` is a :func:`response_table`, and ``terms`` are the :func:`position_terms` of its pixels.
     """
     out = np.empty((*soft.shape, 3), np.float32)
-    lost, scale = _lost_light(soft, pitch_m, shape, span)
+    light, scale = _lamp_light(soft, pitch_m, shape, span)
     view = view_of(soft.shape, pitch_m, shape, span)
-    gel_kernels.render_response(out, soft, lost, scale, view, terms, table)
+    gel_kernels.render_response(out, soft, light, scale, view, terms, table)
     blur_colours(out, shape[Fitted.BLUR] / pitch_m)
     return out
 

@@ -1,10 +1,11 @@
-"""Kernels of the response of a twin, in numba: to slopes, depth and lost light, and its normal equations.
+"""Kernels of the response of a twin, in numba: to light, slopes and depth, and its normal equations.
 
-The response of a colour is the sum of a table over direction and steepness of the slope of the gel, of one
-over its depth, which brings it nearer to the lamps, and of the light that shadows take away. Light is taken
-as the sum of some distant lamps, at all sides and of several heights. A lamp is behind what rises above its
-ray, and what it gave is lost: as much as the slope turns to it (Lambert). All entries are sums of terms: of
-the position in the image, quadratic, and of the colours of the gel at rest, which tell where lamps are near.
+The response of a colour is the sum of the light of some lamps on matt gel, and of a table over direction and
+steepness of its slope. Lamps stand on a ring around the image, in several heights.
+Light falls off with the square of the distance, and as much is reflected as the gel turns to the lamp
+(Lambert). A lamp is behind what rises above its ray. The table is what a gel does beyond that. Its entries
+are sums of terms: of the position in the image, quadratic, and of the colours of the gel at rest, which tell
+where lamps are near.
 """
 
 from __future__ import annotations
@@ -13,20 +14,29 @@ import math
 
 import numpy as np
 
-from tactile_sim.twin.view_kernels import DEPTHS, STEPS, TURNS, SurfaceView, column_x, row_positions, row_y
+from tactile_sim.twin.view_kernels import (
+    STEPS,
+    TURNS,
+    SurfaceView,
+    column_x,
+    row_positions,
+    row_y,
+    turn_of,
+)
 from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import Float32, Float64, Int64
 
-AZIMUTHS = 8
-"""Directions of lamps whose light may be lost."""
+AZIMUTHS = 16
+"""Directions of lamps from the middle of the image."""
 
-HEIGHTS = np.array([0.2, 0.4, 0.8])
-"""Tangents of the elevations of these lamps."""
+HEIGHTS = np.array([0.3, 0.6])
+"""Heights of lamps above the gel, over their distance from the middle of the image."""
+
+LAMP_VALUES = 4
+"""Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added."""
 
 _PENUMBRA = np.float32(0.1)  # tangent, over which light is lost
 
-_TANGENTS = HEIGHTS.astype(np.float32)
-_COSINES = (1 / np.hypot(1, HEIGHTS)).astype(np.float32)
 _TOWARDS = np.array(
     [[math.cos(2 * math.pi * k / AZIMUTHS), math.sin(2 * math.pi * k / AZIMUTHS)] for k in range(AZIMUTHS)],
     np.float32,
@@ -36,20 +46,19 @@ TERMS = 9
 """Terms of an entry: 1, x, y, x^2, x y, y^2, from -1 to 1 across the image, and the colours at rest."""
 
 COLOURS = 6
-"""The first of the terms of the colours at rest; lost light has only these."""
+"""The first of the terms of the colours at rest."""
 
 SLOPES = TURNS * STEPS
-LAMPS = SLOPES + DEPTHS
-ENTRIES = LAMPS + AZIMUTHS * len(HEIGHTS)
-"""Number of entries: those of slopes, by direction, of depths, and of lamps, by direction."""
+ENTRIES = SLOPES + AZIMUTHS * len(HEIGHTS)
+"""Number of entries: those of slopes, by direction, and of lamps, by direction, which have one term."""
 
 ENTRY_VALUES = 4 * TERMS
 """Values of an entry in :func:`render_response`: three colours and a zero for each term."""
 
 _LINE_VALUES = 24
-_SLOPED, _FILLED = 4, 6
-ACTIVE = _FILLED + AZIMUTHS * len(HEIGHTS)
-"""Number of entries that a pixel may depend on: four of slopes, two of depths, and all lamps."""
+_SLOPED = 4
+ACTIVE = _SLOPED + AZIMUTHS * len(HEIGHTS)
+"""Number of entries that a pixel may depend on: four of slopes, and all lamps."""
 
 
 @part
@@ -92,30 +101,58 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
 
 
 @compiled
-def lost_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
-    """Return the light of each lamp that the pixels of a surface lose, negative, (H, W, lamps)."""
+def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
+    """Return the light of each lamp on a surface, (H, W, lamps, LAMP_VALUES).
+
+    The first three values times the normal of the gel are the light of a lamp that nothing keeps off, where 1
+    falls on the middle of the image from the direction of the lamp; the last one is what shadows take from
+    it, less the light at rest.
+    """
     rows, columns = soft.shape
     ahead = _horizons(soft, view, reaches)
+    ring, width = np.float32(view.ring), np.float32(view.pitch_x)
     unit, zero = np.float32(1.0), np.float32(0.0)
-    out = np.zeros((rows, columns, ENTRIES - LAMPS), np.float32)
-    positions = np.empty((5, columns), np.float32)
+    per_turn = np.float32(AZIMUTHS / TURNS)
+    from_left = np.float32(0.5 - 0.5 * columns)
+    out = np.empty((rows, columns, ENTRIES - SLOPES, LAMP_VALUES), np.float32)
+    positions = np.empty((4, columns), np.float32)
+    across, level, turns, rises = np.empty((4, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
-        for column in range(columns):
-            x, y = positions[3, column], positions[4, column]
-            turned = unit / np.float32(math.sqrt(unit + x * x + y * y))
-            for azimuth in range(AZIMUTHS):
-                rise = ahead[azimuth, row, column]
-                if rise <= _TANGENTS[0]:
-                    continue
-                level = x * _TOWARDS[azimuth, 0] + y * _TOWARDS[azimuth, 1]
-                for height in range(len(_TANGENTS)):
-                    share = (rise - _TANGENTS[height]) / _PENUMBRA
-                    share = share if share > zero else zero
-                    share = share if share < unit else unit
-                    towards = (level + _TANGENTS[height]) * turned * _COSINES[height]
-                    towards = towards if towards > zero else zero
-                    out[row, column, azimuth * len(_TANGENTS) + height] = -share * towards
+        line = soft[row]
+        y = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
+        for azimuth in range(AZIMUTHS):
+            lamp_x = ring * _TOWARDS[azimuth, 0]
+            up = ring * _TOWARDS[azimuth, 1] - y
+            for column in range(columns):
+                along = lamp_x - width * (column + from_left)
+                across[column] = along
+                level[column] = along * along + up * up
+                turns[column] = turn_of(along, up) * per_turn
+            for column in range(columns):
+                first = int(turns[column])
+                part = turns[column] - np.float32(first)
+                second = first + 1 if first < AZIMUTHS - 1 else 0
+                rises[column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
+            for height in range(len(HEIGHTS)):
+                lamp_z = ring * np.float32(HEIGHTS[height])
+                lamp = azimuth * len(HEIGHTS) + height
+                for column in range(columns):
+                    z = lamp_z + line[column]
+                    far = level[column] + z * z
+                    share = ring * ring / (far * np.float32(math.sqrt(far)))
+                    far = level[column] + lamp_z * lamp_z
+                    at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * lamp_z
+                    slope_x, slope_y = positions[2, column], positions[3, column]
+                    turned = unit / np.float32(math.sqrt(unit + slope_x * slope_x + slope_y * slope_y))
+                    whole = share * turned * (slope_x * across[column] + slope_y * up + z)
+                    behind = (rises[column] - z / np.float32(math.sqrt(level[column]))) / _PENUMBRA
+                    behind = behind if behind > zero else zero
+                    behind = behind if behind < unit else unit
+                    kept = (unit - behind) * whole if whole > zero else zero
+                    values = out[row, column, lamp]
+                    values[0], values[1] = share * across[column], share * up
+                    values[2], values[3] = share * z, kept - whole - at_rest
     return out
 
 
@@ -134,16 +171,18 @@ def _interpolated(out: Float32, source: Float32, row: float, column: float) -> N
 
 @compiled
 def features(
-    soft: Float32, lost: Float32, scale: float, view: SurfaceView, entries: Int64, shares: Float32
+    soft: Float32, light: Float32, scale: float, view: SurfaceView, entries: Int64, shares: Float32
 ) -> None:
     """Write the entries that each pixel depends on, and their shares: 0 where the gel is at rest.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
-    pressed in; ``lost`` its :func:`lost_light` on a map that is smaller by ``scale``. ``entries`` and
+    pressed in; ``light`` its :func:`lamp_light` on a map that is smaller by ``scale``. ``entries`` and
     ``shares`` have the shape (H W, ACTIVE).
     """
     rows, columns = soft.shape
-    positions = np.empty((5, columns), np.float32)
+    lamps = light.reshape(light.shape[0], light.shape[1], -1)
+    values = np.empty(lamps.shape[2], np.float32)
+    positions = np.empty((4, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
         for column in range(columns):
@@ -160,15 +199,15 @@ def features(
                 entries[at, 2 * side + 1] = entries[at, 2 * side] + 1
                 shares[at, 2 * side] = share * (1.0 - far)
                 shares[at, 2 * side + 1] = share * far
-            node = int(positions[2, column])
-            far = positions[2, column] - node
-            entries[at, _SLOPED], entries[at, _SLOPED + 1] = SLOPES + max(node - 1, 0), SLOPES + node
-            shares[at, _SLOPED] = 1.0 - far if node else 0.0
-            shares[at, _SLOPED + 1] = far
-            for lamp in range(_FILLED, ACTIVE):
-                entries[at, lamp] = LAMPS + lamp - _FILLED
             y, x = (row + 0.5) * scale - 0.5, (column + 0.5) * scale - 0.5
-            _interpolated(shares[at, _FILLED:], lost, y, x)
+            _interpolated(values, lamps, y, x)
+            slope_x, slope_y = positions[2, column], positions[3, column]
+            turned = np.float32(1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y))
+            for lamp in range(ENTRIES - SLOPES):
+                k = LAMP_VALUES * lamp
+                whole = turned * (slope_x * values[k] + slope_y * values[k + 1] + values[k + 2])
+                entries[at, _SLOPED + lamp] = SLOPES + lamp
+                shares[at, _SLOPED + lamp] = whole + values[k + 3]
 
 
 @compiled
@@ -189,7 +228,7 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, terms: Float32,
             k = (begin + number) % _SLOPED if number < _SLOPED else number
             if shares[at, k] == 0.0:
                 continue
-            for term in range(0 if number < _FILLED else COLOURS, TERMS):
+            for term in range(TERMS if number < _SLOPED else 1):
                 values[count] = shares[at, k] * here[term]
                 unknowns[count] = entries[at, k] * TERMS + term
                 count += 1
@@ -210,7 +249,7 @@ def add_products(out: Float64, entries: Int64, shares: Float32, terms: Float32, 
         for k in range(ACTIVE):
             if shares[at, k] == 0.0:
                 continue
-            for term in range(0 if k < _FILLED else COLOURS, TERMS):
+            for term in range(TERMS if k < _SLOPED else 1):
                 share = shares[at, k] * here[term]
                 total = out[entries[at, k] * TERMS + term]
                 for column in range(many):
@@ -218,20 +257,18 @@ def add_products(out: Float64, entries: Int64, shares: Float32, terms: Float32, 
 
 
 @part
-def _darkened(lost: Float32, table: Float32) -> Float32:
-    """Return what lost light takes from each term of the colours at rest, (h, w, 3 TERMS of four values)."""
-    rows, columns, lamps = lost.shape
-    first = 4 * COLOURS
-    out = np.zeros((rows, columns, ENTRY_VALUES - first), np.float32)
+def _coloured(light: Float32, table: Float32) -> Float32:
+    """Return the light of all lamps in colours, (h, w, LAMP_VALUES of four values)."""
+    rows, columns, lamps, _ = light.shape
+    out = np.zeros((rows, columns, 4 * LAMP_VALUES), np.float32)
     for row in range(rows):
         for column in range(columns):
             total = out[row, column]
             for lamp in range(lamps):
-                share = lost[row, column, lamp]
-                if share != np.float32(0.0):
-                    line = table[LAMPS + lamp, first:]
-                    for m in range(ENTRY_VALUES - first):
-                        total[m] += share * line[m]
+                colour, values = table[SLOPES + lamp], light[row, column, lamp]
+                for m in range(LAMP_VALUES):
+                    for k in range(4):
+                        total[4 * m + k] += values[m] * colour[k]
     return out
 
 
@@ -239,7 +276,7 @@ def _darkened(lost: Float32, table: Float32) -> Float32:
 def render_response(
     out: Float32,
     soft: Float32,
-    lost: Float32,
+    light: Float32,
     scale: float,
     view: SurfaceView,
     terms: Float32,
@@ -247,16 +284,16 @@ def render_response(
 ) -> None:
     """Write the response (H, W, 3) of a surface (H, W), from its coefficients.
 
-    ``lost`` and ``scale`` are those of :func:`features`; ``terms`` (H, W, TERMS) those of each pixel;
+    ``light`` and ``scale`` are those of :func:`features`; ``terms`` (H, W, TERMS) those of each pixel;
     ``table`` (ENTRIES, ENTRY_VALUES) has the terms of each entry. Pixels at rest are 0.
     """
     rows, columns = soft.shape
-    high, wide = lost.shape[:2]
+    high, wide = light.shape[:2]
     unit, zero = np.float32(1.0), np.float32(0.0)
-    dark = _darkened(lost, table)
-    behind = np.empty(dark.shape[1:], np.float32)
-    lines = np.empty((LAMPS, _LINE_VALUES), np.float32)
-    positions = np.empty((5, columns), np.float32)
+    lit = _coloured(light, table)
+    shone = np.empty(lit.shape[1:], np.float32)
+    lines = np.empty((SLOPES, _LINE_VALUES), np.float32)
+    positions = np.empty((4, columns), np.float32)
     total = np.empty(_LINE_VALUES, np.float32)
     shade = np.empty(4, np.float32)
     for row in range(rows):
@@ -265,41 +302,42 @@ def render_response(
         down = min(max((row + 0.5) * scale - 0.5, 0.0), high - 1.0)
         j = min(int(down), high - 2)
         lower = np.float32(down - j)
-        behind[:] = (unit - lower) * dark[j] + lower * dark[j + 1]
+        shone[:] = (unit - lower) * lit[j] + lower * lit[j + 1]
         for column in range(columns):
-            turn, depth = max(positions[0, column], zero), positions[2, column]
-            first, node, deep = int(turn), int(positions[1, column]), int(depth)
+            turn = max(positions[0, column], zero)
+            first, node = int(turn), int(positions[1, column])
             part, far = turn - np.float32(first), positions[1, column] - np.float32(node)
             over, near = unit - part, unit - far
             begin = first * STEPS + node
             end = begin + STEPS if first < TURNS - 1 else node
             a, b, c, d = lines[begin], lines[begin + 1], lines[end], lines[end + 1]
-            e, f = lines[SLOPES + max(deep - 1, 0)], lines[SLOPES + deep]
             is_sloped = unit if positions[0, column] >= zero else zero
-            under = depth - np.float32(deep)
-            above = unit - under if deep else zero
             for m in range(_LINE_VALUES):
                 slope = over * (near * a[m] + far * b[m]) + part * (near * c[m] + far * d[m])
-                total[m] = is_sloped * slope + (above * e[m] + under * f[m])
+                total[m] = is_sloped * slope
             across = min(max((column + 0.5) * scale - 0.5, 0.0), wide - 1.0)
             i = min(int(across), wide - 2)
             right = np.float32(across - i)
             left = unit - right
-            g, h = behind[i], behind[i + 1]
+            g, h = shone[i], shone[i + 1]
+            slope_x, slope_y = positions[2, column], positions[3, column]
+            turned = unit / np.float32(math.sqrt(unit + slope_x * slope_x + slope_y * slope_y))
             x = column_x(column, columns, view)
             red, green, blue = terms[row, column, COLOURS:]
             for k in range(4):
-                lit = red * (total[12 + k] + (left * g[k] + right * h[k]))
-                lit += green * (total[16 + k] + (left * g[4 + k] + right * h[4 + k]))
-                lit += blue * (total[20 + k] + (left * g[8 + k] + right * h[8 + k]))
-                shade[k] = total[k] + x * (total[4 + k] + x * total[8 + k]) + lit
+                whole = slope_x * (left * g[k] + right * h[k])
+                whole += slope_y * (left * g[4 + k] + right * h[4 + k])
+                whole = turned * (whole + (left * g[8 + k] + right * h[8 + k]))
+                shade[k] = whole + (left * g[12 + k] + right * h[12 + k])
+                shade[k] += total[k] + x * (total[4 + k] + x * total[8 + k])
+                shade[k] += red * total[12 + k] + green * total[16 + k] + blue * total[20 + k]
             out[row, column, 0], out[row, column, 1], out[row, column, 2] = shade[0], shade[1], shade[2]
 
 
 @part
 def _sum_rows(lines: Float32, table: Float32, y: np.float32) -> None:
-    """Write the entries of slopes and depths for a row: without x, with x, with x^2, and with each colour."""
-    for entry in range(LAMPS):
+    """Write the entries of slopes for a row: without x, with x, with x^2, and with each colour."""
+    for entry in range(SLOPES):
         line, terms = lines[entry], table[entry]
         for k in range(4):
             line[k] = terms[k] + y * (terms[8 + k] + y * terms[20 + k])

@@ -17,7 +17,7 @@ import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel, gel_kernels
-from tactile_sim.twin.fitting import DEPTH_COST, Fit, Steps
+from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.pose_search import (
     NEAR_M,
@@ -36,6 +36,7 @@ _SEARCH_PX, _FIT_PX = 40, 80  # widths of the images in the search and in the fi
 _HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and colours that are refined
 _COLOUR_STEPS = 6
 _RIDGE_OF_COLOURS = 0.03
+_MIDDLE = 1e-3  # share of the image that is coloured alike: lamps are far away from it
 _PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # of each round, as fractions of the usual press depth
 _STEPS = 15  # of progress
 _SEEDS = 5  # touches to which the first twin is fitted
@@ -98,7 +99,6 @@ def are_off(fit: Fit) -> Bool:
     """Return which poses (N,) are too far off for a fit to correct: they explain little of their image."""
     _set_width(fit, _FIT_PX)
     fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
-    fit.penalise(DEPTH_COST)
     for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
         fit.step(moving)
     for touch in range(len(fit.poses)):
@@ -273,14 +273,14 @@ def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
 
 
 def _paint_of(fit: Fit) -> Paint:
-    """Return a function that colours a surface by the response of the fit, alike all over the image."""
+    """Return a function that colours a surface by the response of the fit in the middle of the image."""
     shape = gel.unbent(fit.shape)
     table = gel.response_table(fit.coefficients)
 
     def paint(surface: Float32, pitch_m: Float64) -> Float32:
         terms = np.zeros((*surface.shape, gel_kernels.TERMS), np.float32)
         terms[..., 0] = terms[..., gel_kernels.COLOURS :] = 1.0
-        return gel.response(surface, pitch_m, shape, table, terms)
+        return gel.response(surface, pitch_m, shape, table, terms, np.full(2, _MIDDLE))
 
     return paint
 

@@ -13,14 +13,8 @@ from tactile_toolkit.value_types import Float32
 TURNS, STEPS = 18, 10
 """Directions of slopes, and entries along their steepness."""
 
-DEPTHS = 8
-"""Entries along the depth; none is at rest."""
-
 STEEPEST = 0.6
 """Tangent of half of the angle of the steepest slope in the table: 62 degrees."""
-
-DEEPEST = 0.6
-"""Greatest depth in the table, as a share of the thickness of the gel."""
 
 _LEVEL = 1e-5
 """Slope below which the gel counts as at rest, as in Taxim."""
@@ -36,7 +30,7 @@ class SurfaceView(NamedTuple):
 
     The fields are the size of a pixel, metres; the share of the image that is shown, along x and y; the
     radial term of the lens; the squared width of the image over its squared diagonal; one over the distance
-    of the camera, 1 / metres; and the thickness of the gel, metres.
+    of the camera, 1 / metres; and the distance of lamps from the middle, metres.
     """
 
     pitch_x: float
@@ -46,7 +40,7 @@ class SurfaceView(NamedTuple):
     lens: float
     across: float
     camera: float
-    gel: float
+    ring: float
 
 
 @part
@@ -62,7 +56,7 @@ def row_y(row: int, rows: int, view: SurfaceView) -> np.float32:
 
 
 @part
-def _turn(x: np.float32, y: np.float32) -> np.float32:
+def turn_of(x: np.float32, y: np.float32) -> np.float32:
     """Return the direction of a slope, in steps of the table."""
     zero, unit = np.float32(0.0), np.float32(1.0)
     quarter = np.float32(0.25 * math.pi)
@@ -81,14 +75,14 @@ def _turn(x: np.float32, y: np.float32) -> np.float32:
 
 @part
 def row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
-    """Write where in the tables the pixels of a row lie, and slopes: (5, W).
+    """Write where in the tables the pixels of a row lie, and slopes: (4, W).
 
-    The rows are direction, steepness, depth, and the slopes along x and y. Directions are -1 where the gel is
+    The rows are direction, steepness, and the slopes along x and y. Directions are -1 where the gel is
     level. Slopes are those on the gel, not those that the camera sees. Single precision and no branches:
     several pixels are computed at once.
     """
     rows, columns = soft.shape
-    zero, unit, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+    unit, two = np.float32(1.0), np.float32(2.0)
     least = np.float32(_LEVEL * _LEVEL)
     last = np.float32(STEPS - 1.0)
     per_steep = np.float32(1.0 / STEEPEST)
@@ -98,8 +92,6 @@ def row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView
     below = soft[min(row + 1, rows - 1)]
     per_y = np.float32(1.0 / (view.pitch_y * (min(row + 1, rows - 1) - max(row - 1, 0))))
     per_x = np.float32(0.5 / view.pitch_x)
-    per_deep = np.float32(-DEPTHS / (DEEPEST * view.gel))
-    deepest = np.float32(DEPTHS - 1e-4)
     v = row_y(row, rows, view)
     across = np.float32(view.across)
     down = np.float32(1.0 - view.across)
@@ -108,7 +100,7 @@ def row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView
     from_left, width = np.float32(0.5 - 0.5 * columns), np.float32(view.pitch_x)
     up = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
     nearest = np.float32(_NEAREST)
-    turns, steeps, deeps = positions[0], positions[1], positions[2]
+    turns, steeps = positions[0], positions[1]
     for column in range(1, columns - 1):
         steeps[column] = (line[column + 1] - line[column - 1]) * per_x
     steeps[0] = (line[1] - line[0]) * per_x * two
@@ -126,13 +118,10 @@ def row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView
         stretch = unit + camera * (line[column] + bend * (width * (column + from_left) * x + up * y))
         stretch = unit / (stretch if stretch > nearest else nearest)
         x, y = x * stretch, y * stretch
-        positions[3, column], positions[4, column] = x, y
+        positions[2, column], positions[3, column] = x, y
         square = x * x + y * y
-        turn = _turn(x, y)
+        turn = turn_of(x, y)
         turns[column] = turn if square > least else -unit
         tangent = math.sqrt(square) / (unit + math.sqrt(unit + square))
         steep = last * math.sqrt(tangent * per_steep)
-        deep = line[column] * per_deep
-        deep = deep if deep > zero else zero
         steeps[column] = steep if steep < most else most
-        deeps[column] = deep if deep < deepest else deepest

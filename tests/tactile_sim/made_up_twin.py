@@ -52,7 +52,7 @@ def response_of(seen: gel.Features, coefficients: np.ndarray, terms: np.ndarray)
     """The response (H W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
     entries, shares = seen
     known = coefficients.astype(float).copy()
-    known[gel_kernels.LAMPS :, : gel_kernels.COLOURS] = 0.0  # lost light grows with that at rest
+    known[gel_kernels.SLOPES :, 1:] = 0.0  # the light of a lamp has one term
     return np.einsum("pk,pkts,pt->ps", shares, known[entries], terms)
 
 

@@ -104,7 +104,6 @@ def test_a_twin_that_does_not_explain_held_out_touches_is_refused(six_touches):
     swapped = dataclasses.replace(six_touches, object_ids=1 - six_touches.object_ids)
     right, wrong = begun(six_touches), begun(swapped)
     for fit in (right, wrong):
-        fit.penalise(fitting.DEPTH_COST)
         fit.step()
         fit.choose_ridge()
     assert right.explained > 0.6

@@ -83,41 +83,74 @@ def test_slopes_exactly_along_an_axis_have_an_entry():
             assert gel.response(turned, pitch_m, sharp, table, terms) == pytest.approx(plain, abs=0.02)
 
 
-def test_light_is_lost_behind_what_rises_above_the_ray_of_a_lamp():
-    """Beside a wall, lamps behind it are lost as far as its height over their tangent, others are not.
+def lamps_of(soft: np.ndarray, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """From each pixel to each lamp, (H, W, lamps, 3), and the shares of the lamps, (H, W, lamps)."""
+    rows, columns = soft.shape
+    _, shares = gel.surface_features(soft, np.array([pitch, pitch]), without(SHAPE, Fitted.LENS))
+    ring = 1.28 * np.hypot(columns, rows) * pitch / 2
+    turn = np.repeat(2 * np.pi * np.arange(gel_kernels.AZIMUTHS) / gel_kernels.AZIMUTHS, 2)
+    height = np.tile(gel_kernels.HEIGHTS, gel_kernels.AZIMUTHS)
+    lamps = ring * np.stack([np.cos(turn), np.sin(turn), height], axis=1)
+    y, x = np.mgrid[(rows - 1) / 2 : -rows / 2 : -1, -(columns - 1) / 2 : columns / 2] * pitch
+    places = np.stack([x, y, -soft.astype(float)], axis=2)
+    return (lamps - places[:, :, None]) / ring, shares[:, 4:].reshape(rows, columns, -1)
 
-    Where all of a lamp is lost, level gel loses the sine of its elevation (Lambert).
-    """
-    rows, columns, pitch = 40, 96, 1e-4
+
+def at_rest(to: np.ndarray, soft: np.ndarray, pitch: float) -> np.ndarray:
+    """The light of lamps on gel at rest, (H, W, lamps), from the vectors of :func:`lamps_of`."""
+    ring = 1.28 * np.hypot(*soft.shape) * pitch / 2
+    level = to + np.array([0.0, 0.0, 1.0]) * (-soft.astype(float) / ring)[:, :, None, None]
+    return level[..., 2] / np.linalg.norm(level, axis=-1) ** 3
+
+
+def test_lamps_shine_as_lamberts_law_says():
+    """On slopes without shadows, light is the cosine over the square of the distance, less that at rest."""
+    pitch = 3e-4
+    y, x = np.mgrid[-1:1:48j, -1:1:64j]
+    soft = np.float32(-8e-4 * np.exp(-2 * (x - 0.2) ** 2 - 3 * (y + 0.1) ** 2))
+    to, shares = lamps_of(soft, pitch)
+    down, right = np.gradient(-soft.astype(float), pitch)
+    normal = np.stack([-right, down, np.ones_like(down)], axis=2)
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    light = np.einsum("hwi,hwli->hwl", normal, to) / np.linalg.norm(to, axis=-1) ** 3
+    expected = light - at_rest(to, soft, pitch)
+    inside = (slice(2, -2), slice(2, -2))
+    assert np.abs(expected[inside]).max() > 0.2
+    assert shares[inside] == pytest.approx(expected[inside], abs=3e-3)
+
+
+def test_light_is_lost_behind_what_rises_above_the_ray_of_a_lamp():
+    """Beside a wall, all light of a lamp behind it is lost, and none beyond its shadow."""
+    rows, columns, pitch = 41, 96, 1e-4
     wall_m, foot = 1.2e-3, 30
     soft = np.zeros((rows, columns), np.float32)
     soft[:, :foot] = -wall_m
-    _, shares = gel.surface_features(soft, np.array([pitch, pitch]), without(SHAPE, Fitted.LENS))
-    lost = -shares[:, -gel_kernels.AZIMUTHS * len(gel_kernels.HEIGHTS) :].reshape(rows, columns, -1)
-    line = lost[rows // 2].reshape(columns, gel_kernels.AZIMUTHS, len(gel_kernels.HEIGHTS))
-    behind = gel_kernels.AZIMUTHS // 2  # the wall is on the left
+    to, shares = lamps_of(soft, pitch)
+    rest = at_rest(to, soft, pitch)
     away_m = (np.arange(columns) - foot + 0.5) * pitch
-    for height, tangent in enumerate(gel_kernels.HEIGHTS.tolist()):
-        dark = line[:, behind, height]
-        sine = tangent / np.hypot(1, tangent)
+    behind = gel_kernels.AZIMUTHS // 2  # the wall is on the left, and this lamp straight behind it
+    row = rows // 2
+    for height in range(len(gel_kernels.HEIGHTS)):
+        lamp = behind * len(gel_kernels.HEIGHTS) + height
+        tangent = to[row, :, lamp, 2] / np.abs(to[row, :, lamp, 0])
         inside = (away_m > 3 * pitch) & (away_m < 0.7 * wall_m / (tangent + 0.1))
-        assert dark[inside] == pytest.approx(np.full(inside.sum(), sine), abs=1e-3)
-        assert not dark[away_m > 1.2 * wall_m / tangent].any()
-    assert not line[foot:, 0].any()
-    assert not lost[:, :foot].any()
+        assert inside.sum() > 5
+        assert shares[row, inside, lamp] == pytest.approx(-rest[row, inside, lamp], abs=1e-3)
+        assert shares[row, away_m > 1.3 * wall_m / tangent, lamp] == pytest.approx(0.0, abs=1e-3)
+        assert shares[row, foot + 2 :, height] == pytest.approx(0.0, abs=1e-3)  # of the lamp on the right
 
 
 def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
     """A window that is smaller than the reach of a shadow needs no map of that size."""
     rng = np.random.default_rng(0)
     soft = ndimage.gaussian_filter(rng.normal(0, 4e-4, (24, 36)), 3).astype(np.float32)
-    lost = []
+    light = []
     for surface in (soft, np.pad(soft, 80, mode="edge")):
         view = gel.view_of(surface.shape, np.array([2e-5, 3e-5]), without(SHAPE, Fitted.LENS))
-        lost.append(gel_kernels.lost_light(surface, view, np.geomspace(1e-4, 6e-3, 5)))
-    assert (lost[0] < 0).any()
-    inner = lost[1][81:-81, 81:-81]  # slopes at an edge are those of one side
-    assert lost[0][1:-1, 1:-1] == pytest.approx(inner, abs=1e-4)
+        light.append(gel_kernels.lamp_light(surface, view._replace(ring=1e-3), np.geomspace(1e-4, 6e-3, 5)))
+    small, inner = light[0][1:-1, 1:-1], light[1][81:-81, 81:-81]  # slopes at an edge are those of one side
+    assert np.ptp(small[..., 3]) > 0.5
+    assert small == pytest.approx(inner, abs=1e-3)
 
 
 @pytest.mark.parametrize(("value", "size"), [(Fitted.LENS, 0.06), (Fitted.CAMERA, 28.0)])
@@ -157,9 +190,6 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
         half = np.tan(np.arctan(steep) / 2) / view_kernels.STEEPEST
         place = entry[0] % view_kernels.STEPS + share[[1, 3]].sum()
         assert place == pytest.approx((view_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
-        # 0.01 m are deeper than the table: all of its last entry.
-        assert entry[5] == gel_kernels.LAMPS - 1
-        assert share[5] == pytest.approx(1, abs=1e-3)
 
 
 def test_a_gel_at_rest_does_not_respond():
@@ -185,7 +215,7 @@ def test_normal_equations_are_those_of_the_dense_matrix():
     pitch_m = 2 * HALF_M / [64, 48]
     seen = gel.surface_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
     met = np.unique(seen[0][seen[1] != 0])
-    # Directions that are neighbours across the whole turn, depths, and light that is lost.
+    # Directions that are neighbours across the whole turn, and lamps.
     used = np.unique([*met[:6], *met[met < gel_kernels.SLOPES][-6:], *met[-8:]])
     terms = gel.position_terms(made_up_twin().background)
     dense = []
