@@ -116,9 +116,14 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
     from_left = np.float32(0.5 - 0.5 * columns)
     out = np.empty((rows, columns, ENTRIES - SLOPES, LAMP_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)
-    across, level, turns, rises = np.empty((4, columns), np.float32)
+    across, level, turns, rises, turned = np.empty((5, columns), np.float32)
+    # By lamp, several pixels are computed at once.
+    values = np.empty((ENTRIES - SLOPES, LAMP_VALUES, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
+        for column in range(columns):
+            slope_x, slope_y = positions[2, column], positions[3, column]
+            turned[column] = unit / np.float32(math.sqrt(unit + slope_x * slope_x + slope_y * slope_y))
         line = soft[row]
         y = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
         for azimuth in range(AZIMUTHS):
@@ -136,23 +141,26 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
                 rises[column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
             for height in range(len(HEIGHTS)):
                 lamp_z = ring * np.float32(HEIGHTS[height])
-                lamp = azimuth * len(HEIGHTS) + height
+                lamp = values[azimuth * len(HEIGHTS) + height]
                 for column in range(columns):
                     z = lamp_z + line[column]
                     far = level[column] + z * z
                     share = ring * ring / (far * np.float32(math.sqrt(far)))
                     far = level[column] + lamp_z * lamp_z
                     at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * lamp_z
-                    slope_x, slope_y = positions[2, column], positions[3, column]
-                    turned = unit / np.float32(math.sqrt(unit + slope_x * slope_x + slope_y * slope_y))
-                    whole = share * turned * (slope_x * across[column] + slope_y * up + z)
+                    whole = positions[2, column] * across[column] + positions[3, column] * up + z
+                    whole = share * turned[column] * whole
                     behind = (rises[column] - z / np.float32(math.sqrt(level[column]))) / _PENUMBRA
                     behind = behind if behind > zero else zero
                     behind = behind if behind < unit else unit
                     kept = (unit - behind) * whole if whole > zero else zero
-                    values = out[row, column, lamp]
-                    values[0], values[1] = share * across[column], share * up
-                    values[2], values[3] = share * z, kept - whole - at_rest
+                    lamp[0, column], lamp[1, column] = share * across[column], share * up
+                    lamp[2, column], lamp[3, column] = share * z, kept - whole - at_rest
+        for column in range(columns):
+            target = out[row, column]
+            for k in range(len(values)):
+                for m in range(LAMP_VALUES):
+                    target[k, m] = values[k, m, column]
     return out
 
 

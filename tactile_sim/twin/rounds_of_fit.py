@@ -35,7 +35,7 @@ class _Round(NamedTuple):
 
 
 _COARSE_ROUND = _Round(80, 8, tuple(value for value in Fitted if value is not Fitted.LAST), 1.0)
-_FINE_ROUND = _Round(160, 10, tuple(Fitted), 0.1)
+_FINE_ROUND = _Round(160, 8, tuple(Fitted), 0.1)
 # Only elastic gels rise: by 0.6 to 0.9 in the first round, others by -0.1 to 0.1. Images hardly tell their
 # width and contact from the depth, so these are not fitted: they follow from the thickness, as on solved
 # contacts of layers of Poisson's ratios from 0.45 to 0.49.
