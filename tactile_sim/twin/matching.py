@@ -52,7 +52,7 @@ _GEOMETRY = (
     Fitted.CAMERA,
 )
 _FIRST_PRESS = 0.9  # press depth that is tried first, as a fraction of the usual one
-_RIDGES = (0.1, 0.03, 0.01)  # of each round: a high ridge extends what few touches show
+_RIDGES = (1.0, 0.3, 0.1)  # of each round: a high ridge extends what few touches show
 _TRIED, _GOOD = 16, 5  # poses of a touch that are refined by two steps, and by more steps
 _DIFFERENCE = np.array([6e-5, 6e-5, 0.008, 3e-5])  # of a pose, by which derivatives are taken
 _MAX_MOVE = np.array([1e-3, 1e-3, 0.1, 4e-4])  # of one step
