@@ -226,13 +226,16 @@ class Recordings:
         """Return a solid."""
         return Mesh.of(self.solids[object_id])
 
-    def poses_on_solids(self) -> Float64 | None:
-        """Return the point of each solid under the sensor, x and y, metres, and the turn, radians; (N, 3)."""
+    def poses_on_solids(self, turn_rad: Float64 | None = None) -> Float64 | None:
+        """Return the point of each solid under the sensor, x and y, metres, and the turn, radians; (N, 3).
+
+        ``turn_rad`` (N,) are turns in place of the stated ones.
+        """
         if self.sensor_m is None:
             return None
         assert self.object_poses is not None, "set when the recordings are made"
         x_m, y_m = (self.sensor_m[:, :2] - self.object_poses[:, :2]).T
-        turn = self.object_poses[:, 2]
+        turn = self.object_poses[:, 2] if turn_rad is None else turn_rad
         cosine = np.cos(turn)
         sine = np.sin(turn)
         return np.stack([cosine * x_m + sine * y_m, cosine * y_m - sine * x_m, turn], axis=1)
