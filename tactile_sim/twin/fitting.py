@@ -10,7 +10,6 @@ out the blur of the camera. This shortens their steps and does not change where 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,7 +54,6 @@ ALIKE_PX = 200.0
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0)
 
 
-@lru_cache(maxsize=1)
 def _penalty() -> Float64:
     """Return the matrix that penalises what the table adds to lamps, unless it is linear in the slopes.
 
@@ -131,6 +129,7 @@ class Fit:
         self.lit = unsaturated(self.background)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
+        self.penalty = _penalty()
         self.set_shrink(1)
 
     def set_shrink(self, shrink: int) -> None:
@@ -346,7 +345,7 @@ class Fit:
         errors = []
         changes = []
         for ridge in RIDGES:
-            cost = ridge * train.scale * _penalty()
+            cost = ridge * train.scale * self.penalty
             factor = scipy.linalg.cho_factor(train.normal + cost, lower=True, check_finite=False)
             right = train.products[:, 0] - cost @ before.reshape(COEFFICIENTS, 3)
             change = scipy.linalg.cho_solve(factor, right, check_finite=False)
@@ -414,7 +413,7 @@ class _Sums:
 
     def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
         """Update the response of a fit, and return the moves of its geometry and poses."""
-        penalty = fit.ridge * self.scale * _penalty()
+        penalty = fit.ridge * self.scale * fit.penalty
         before = fit.coefficients.reshape(COEFFICIENTS, 3)
         factor = scipy.linalg.cho_factor(self.normal + penalty, lower=True, check_finite=False)
         right = self.products

@@ -1,11 +1,10 @@
-"""Kernels of the response of a twin, in numba: to light, slopes and depth, and its normal equations.
+"""Kernels of the response of a twin, in numba: to the light of lamps and to slopes, and its normal equations.
 
 The response of a colour is the sum of the light of some lamps on matt gel, and of a table over direction and
-steepness of its slope. Lamps stand on a ring around the image, in several heights.
-Light falls off with the square of the distance, and as much is reflected as the gel turns to the lamp
-(Lambert). A lamp is behind what rises above its ray. The table is what a gel does beyond that. Its entries
-are sums of terms: of the position in the image, quadratic, and of the colours of the gel at rest, which tell
-where lamps are near.
+steepness of its slope. Lamps stand on a ring around the image, in several heights. Light falls off with the
+square of the distance, and as much is reflected as the gel turns to the lamp (Lambert). A lamp is behind what
+rises above its ray. The table is what a gel does beyond that. Its entries are sums of terms: of the position
+in the image, quadratic, and of the colours of the gel at rest, which tell where lamps are near.
 """
 
 from __future__ import annotations
@@ -32,9 +31,8 @@ AZIMUTHS = 16
 HEIGHTS = np.array([0.3, 0.6])
 """Heights of lamps above the gel, over their distance from the middle of the image."""
 
-LAMP_VALUES = 4
-"""Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added."""
-
+# Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
+_LAMP_VALUES = 4
 _PENUMBRA = np.float32(0.1)  # tangent, over which light is lost
 
 _TOWARDS = np.array(
@@ -100,25 +98,44 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
     return out
 
 
+@part
+def _look_at(to: Float32, ahead: Float32, row: int, lamp_x: float, up: float, view: SurfaceView) -> None:
+    """Write how far a lamp is from the pixels of a row, (4, W).
+
+    The rows are the distance along x, the squared distance along the gel, the direction in steps of
+    ``AZIMUTHS``, and how steeply the gel rises on the way, between the directions of ``ahead``.
+    """
+    columns = ahead.shape[2]
+    unit, width = np.float32(1.0), np.float32(view.pitch_x)
+    per_turn = np.float32(AZIMUTHS / TURNS)
+    from_left = np.float32(0.5 - 0.5 * columns)
+    for column in range(columns):
+        across = np.float32(lamp_x) - width * (column + from_left)
+        to[0, column], to[1, column] = across, across * across + np.float32(up * up)
+        to[2, column] = turn_of(across, np.float32(up)) * per_turn
+    for column in range(columns):
+        first = int(to[2, column])
+        part = to[2, column] - np.float32(first)
+        second = first + 1 if first < AZIMUTHS - 1 else 0
+        to[3, column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
+
+
 @compiled
 def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
-    """Return the light of each lamp on a surface, (H, W, lamps, LAMP_VALUES).
+    """Return the light of each lamp on a surface, (H, W, lamps, 4); it is 1 as far away as the ring is wide.
 
-    The first three values times the normal of the gel are the light of a lamp that nothing keeps off, where 1
-    falls on the middle of the image from the direction of the lamp; the last one is what shadows take from
-    it, less the light at rest.
+    The first three values times the normal of the gel are the light of a lamp that nothing keeps off; the
+    last one is what shadows take from it, less the light at rest.
     """
     rows, columns = soft.shape
     ahead = _horizons(soft, view, reaches)
-    ring, width = np.float32(view.ring), np.float32(view.pitch_x)
+    ring = np.float32(view.ring)
     unit, zero = np.float32(1.0), np.float32(0.0)
-    per_turn = np.float32(AZIMUTHS / TURNS)
-    from_left = np.float32(0.5 - 0.5 * columns)
-    out = np.empty((rows, columns, ENTRIES - SLOPES, LAMP_VALUES), np.float32)
-    positions = np.empty((4, columns), np.float32)
-    across, level, turns, rises, turned = np.empty((5, columns), np.float32)
+    out = np.empty((rows, columns, ENTRIES - SLOPES, _LAMP_VALUES), np.float32)
+    positions, to = np.empty((2, 4, columns), np.float32)
+    turned = np.empty(columns, np.float32)
     # By lamp, several pixels are computed at once.
-    values = np.empty((ENTRIES - SLOPES, LAMP_VALUES, columns), np.float32)
+    values = np.empty((ENTRIES - SLOPES, _LAMP_VALUES, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
         for column in range(columns):
@@ -127,39 +144,29 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
         line = soft[row]
         y = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
         for azimuth in range(AZIMUTHS):
-            lamp_x = ring * _TOWARDS[azimuth, 0]
             up = ring * _TOWARDS[azimuth, 1] - y
-            for column in range(columns):
-                along = lamp_x - width * (column + from_left)
-                across[column] = along
-                level[column] = along * along + up * up
-                turns[column] = turn_of(along, up) * per_turn
-            for column in range(columns):
-                first = int(turns[column])
-                part = turns[column] - np.float32(first)
-                second = first + 1 if first < AZIMUTHS - 1 else 0
-                rises[column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
+            _look_at(to, ahead, row, ring * _TOWARDS[azimuth, 0], up, view)
             for height in range(len(HEIGHTS)):
                 lamp_z = ring * np.float32(HEIGHTS[height])
                 lamp = values[azimuth * len(HEIGHTS) + height]
                 for column in range(columns):
                     z = lamp_z + line[column]
-                    far = level[column] + z * z
+                    far = to[1, column] + z * z
                     share = ring * ring / (far * np.float32(math.sqrt(far)))
-                    far = level[column] + lamp_z * lamp_z
+                    far = to[1, column] + lamp_z * lamp_z
                     at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * lamp_z
-                    whole = positions[2, column] * across[column] + positions[3, column] * up + z
+                    whole = positions[2, column] * to[0, column] + positions[3, column] * up + z
                     whole = share * turned[column] * whole
-                    behind = (rises[column] - z / np.float32(math.sqrt(level[column]))) / _PENUMBRA
+                    behind = (to[3, column] - z / np.float32(math.sqrt(to[1, column]))) / _PENUMBRA
                     behind = behind if behind > zero else zero
                     behind = behind if behind < unit else unit
                     kept = (unit - behind) * whole if whole > zero else zero
-                    lamp[0, column], lamp[1, column] = share * across[column], share * up
+                    lamp[0, column], lamp[1, column] = share * to[0, column], share * up
                     lamp[2, column], lamp[3, column] = share * z, kept - whole - at_rest
         for column in range(columns):
             target = out[row, column]
             for k in range(len(values)):
-                for m in range(LAMP_VALUES):
+                for m in range(_LAMP_VALUES):
                     target[k, m] = values[k, m, column]
     return out
 
@@ -212,7 +219,7 @@ def features(
             slope_x, slope_y = positions[2, column], positions[3, column]
             turned = np.float32(1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y))
             for lamp in range(ENTRIES - SLOPES):
-                k = LAMP_VALUES * lamp
+                k = _LAMP_VALUES * lamp
                 whole = turned * (slope_x * values[k] + slope_y * values[k + 1] + values[k + 2])
                 entries[at, _SLOPED + lamp] = SLOPES + lamp
                 shares[at, _SLOPED + lamp] = whole + values[k + 3]
@@ -266,15 +273,15 @@ def add_products(out: Float64, entries: Int64, shares: Float32, terms: Float32, 
 
 @part
 def _coloured(light: Float32, table: Float32) -> Float32:
-    """Return the light of all lamps in colours, (h, w, LAMP_VALUES of four values)."""
+    """Return the light of all lamps in colours, (h, w, 16): four values of light by four of colour."""
     rows, columns, lamps, _ = light.shape
-    out = np.zeros((rows, columns, 4 * LAMP_VALUES), np.float32)
+    out = np.zeros((rows, columns, 4 * _LAMP_VALUES), np.float32)
     for row in range(rows):
         for column in range(columns):
             total = out[row, column]
             for lamp in range(lamps):
                 colour, values = table[SLOPES + lamp], light[row, column, lamp]
-                for m in range(LAMP_VALUES):
+                for m in range(_LAMP_VALUES):
                     for k in range(4):
                         total[4 * m + k] += values[m] * colour[k]
     return out

@@ -93,8 +93,8 @@ def lamps_of(soft: np.ndarray, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     height = np.tile(gel_kernels.HEIGHTS, gel_kernels.AZIMUTHS)
     lamps = ring * np.stack([np.cos(turn), np.sin(turn), height], axis=1)
     y, x = np.mgrid[(rows - 1) / 2 : -rows / 2 : -1, -(columns - 1) / 2 : columns / 2] * pitch
-    places = np.stack([x, y, -soft.astype(float)], axis=2)
-    return (lamps - places[:, :, None]) / ring, shares[:, 4:].reshape(rows, columns, -1)
+    pixels = np.stack([x, y, -soft.astype(float)], axis=2)
+    return (lamps - pixels[:, :, None]) / ring, shares[:, 4:].reshape(rows, columns, -1)
 
 
 def at_rest(to: np.ndarray, soft: np.ndarray, pitch: float) -> np.ndarray:
