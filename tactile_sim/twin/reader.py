@@ -1,8 +1,9 @@
 """Read depth from images of a sensor: slopes from colours, Poisson integration, and depth from the result.
 
-Two networks regress slopes and depth. They are trained on the recordings, and on touches that the twin itself
-renders with the noise of the sensor: of the solids of its calibration in random poses, sizes and depths, and
-of simple shapes such as stairs. The second network also predicts its error.
+A network regresses slopes. The twin renders the gel that has them, and a second network corrects them by what
+the image has beyond that; a third one regresses depth and its own error. They are trained on the recordings,
+and on touches that the twin itself renders with the noise of the sensor: of the solids of its calibration in
+random poses, sizes and depths, and of simple shapes such as stairs.
 """
 
 from __future__ import annotations
@@ -15,9 +16,8 @@ import numpy as np
 import scipy
 
 from tactile_sim.optics.rendering import in_size_of
-from tactile_sim.optics.taxim_kernels import blur
 from tactile_sim.press.sensors import DepthReading
-from tactile_sim.twin import gel
+from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps, shrunk
 from tactile_sim.twin.recordings import Relief, frame_gains
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
@@ -29,15 +29,19 @@ _MAX_ROWS = 100_000  # about as many give the mean and the spread of inputs
 _DECAYS = (0.9, 0.999)  # of Adam, as published (Kingma and Ba, 2015)
 _BLOCK = 1 << 14  # rows that fit into the processor's cache
 _WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
-_TOUCHES = 480  # that are rendered for the training of the networks
-_PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
-_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
+_TOUCHES = 320  # that are rendered for the training of the networks
+_PER_TOUCH = {"full": 1500, "fast": 750}  # pixels of each touch on which the networks are trained
+_SLOPE_PASSES = 2
+_SLOPE_STEPS, _DEPTH_STEPS = 1000, 2500
 _BATCHES_OF_A_STEP = 200  # of progress, about as long as a step of a fit
-_SLOPE_HIDDEN = (24, 24)
+_SLOPE_HIDDEN = (32, 32)
 _DEPTH_HIDDEN = (64, 64)
+_PLACES = 5  # inputs: x, y, and their products
+_COLOURS = 3  # maps that the first network sees: how an image differs from the background
+_MAPS = 9  # maps that the others see: these, what the twin does not render, two slopes, and the surface
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
-_SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
+_SMOOTH_MM, _SMOOTH_SLOPE = 0.01, 0.1  # the loss is quadratic in smaller errors
 _RECORDING_WEIGHT = 3  # pixels of a recording for each pixel of a rendered touch
 _SIMPLE_SHARE = 0.2  # of the rendered touches
 
@@ -127,88 +131,97 @@ def _gradients(
 def reader_shapes() -> dict[str, tuple[int, ...]]:
     """Return the shapes of the weights of a reader by name."""
     shapes: dict[str, tuple[int, ...]] = {}
-    colours = 11
-    for mode in _WIDTHS:
-        nets = (
-            ("slope", colours, _SLOPE_HIDDEN),
-            ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
-        )
-        for kind, inputs, hidden in nets:
-            name = f"{mode}_{kind}"
-            sizes = (inputs, *hidden, 2)
-            shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
-            for layer, (wide, narrow) in enumerate(pairwise(sizes)):
-                shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
+    for number in range(_SLOPE_PASSES + 1):
+        name, hidden = _network(number)
+        maps = _MAPS if number else _COLOURS
+        sizes = (_PLACES + maps * (1 + len(_BLURS)), *hidden, 2)
+        shapes |= {f"{name}_mean": sizes[:1], f"{name}_scale": sizes[:1]}
+        for layer, (wide, narrow) in enumerate(pairwise(sizes)):
+            shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
     return shapes
+
+
+def _network(number: int) -> tuple[str, tuple[int, ...]]:
+    """Return the name of a network and the widths of its hidden layers: those of slopes come first."""
+    return (f"slope{number}", _SLOPE_HIDDEN) if number < _SLOPE_PASSES else ("depth", _DEPTH_HIDDEN)
+
+
+class _View:
+    """How a twin shows the gel in images of a width that is read."""
+
+    def __init__(self, twin: Twin, mode: str) -> None:
+        self.shrink = max(1, round(twin.size_px[0] / _WIDTHS[mode]))
+        self.background = shrunk(twin.background, self.shrink)
+        self.sides = self.background.shape[:2]
+        self.pitch_m = 2 * twin.half_m / self.sides[::-1]
+        self._shape = twin.shape
+        self._table = gel.response_table(twin.coefficients)
+        self._terms = gel.position_terms(self.background)
+        y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.sides), indexing="ij")
+        self._places = np.stack([x, y, x * x, x * y, y * y])
+        self._blurs = [gel.gel_blur(np.full(2, share * self.sides[1]), self.sides) for share in _BLURS]
+
+    def change(self, image: Float32) -> Float32:
+        """Return how an image differs from the background, (h, w, 3)."""
+        return shrunk(image, self.shrink) - self.background
+
+    def slopes_of(self, depth_mm: Float32) -> Float32:
+        """Return the slopes of the gel along x and y upwards, (h, w, 2), from depth (h, w)."""
+        soft = gel.gel_surface(depth_mm.astype(np.float64) / 1e3, self.pitch_m, gel.unbent(self._shape))
+        down, across = np.gradient(soft)
+        return np.asarray(np.stack([across, -down], axis=-1) / self.pitch_m, np.float32)
+
+    def inputs(self, change: Float32, known: Float32 | None) -> Float32:
+        """Return the inputs of a network, (m, h w), from the slopes that are known so far, (h, w, 2)."""
+        maps = change
+        if known is not None:
+            surface_m = integrated(known * self.pitch_m.astype(np.float32))
+            surface_m -= np.float32(np.percentile(surface_m, 90))
+            shown = gel.response(surface_m, self.pitch_m, self._shape, self._table, self._terms)
+            level_mm = np.float32(1e3) * surface_m[..., None]
+            maps = np.concatenate([change, change - shown, known, level_mm], axis=-1)
+        count = maps.shape[2]
+        out = np.empty((_PLACES + count * (1 + len(_BLURS)), *self.sides), np.float32)
+        out[:_PLACES] = self._places
+        out[_PLACES : _PLACES + count] = np.moveaxis(maps, 2, 0)
+        for number, blur in enumerate(self._blurs, 1):
+            for plane in range(_PLACES, _PLACES + count):
+                surface_kernels.soften(out[plane + number * count], out[plane], blur, 0)
+        return out.reshape(len(out), -1)
+
+    def outputs(
+        self, reader: Mapping[str, Float32], number: int, change: Float32, known: Float32 | None
+    ) -> Float32:
+        """Return what a network finds, (h, w, 2): a correction of slopes, or depth and its error."""
+        inputs = np.ascontiguousarray(self.inputs(change, known).T)
+        return network_output(reader, _network(number)[0], inputs).reshape(*self.sides, 2)
+
+    def corrected(
+        self, reader: Mapping[str, Float32], number: int, change: Float32, known: Float32 | None
+    ) -> Float32:
+        """Return slopes (h, w, 2) after a network has corrected those that are known so far."""
+        found = self.outputs(reader, number, change, known)
+        return found if known is None else known + found
 
 
 def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading:
     """Read the depth of images (N, H, W, 3) of the sensor."""
-    mode = "fast" if fast else "full"
-    shrink = _shrink(twin, mode)
-    background = shrunk(twin.background, shrink)
-    depths = []
-    errors = []
+    view = _View(twin, "fast" if fast else "full")
+    readings = []
     for image in in_size_of(twin.size_px, images):
-        levels = shrunk(image.astype(np.float32), shrink)
+        levels = shrunk(image.astype(np.float32), view.shrink)
         if twin.report.get("light_drift", 0) >= MIN_DRIFT:
-            levels /= frame_gains(levels, background, twin.report["noise_levels"]).astype(np.float32)
-        change = levels - background
-        depth_mm, error_mm = _read(twin.reader, mode, change)
-        depths.append(depth_mm)
-        errors.append(error_mm)
+            levels /= frame_gains(levels, view.background, twin.report["noise_levels"]).astype(np.float32)
+        change = levels - view.background
+        known = None
+        for number in range(_SLOPE_PASSES):
+            known = view.corrected(twin.reader, number, change, known)
+        readings.append(view.outputs(twin.reader, _SLOPE_PASSES, change, known))
+    depth_mm, log_error = np.moveaxis(np.stack(readings), 3, 0)
     size_px = (images.shape[2], images.shape[1])
-    scale = np.float32(1e-3)
-    return DepthReading(
-        resized_depth(np.stack(depths) * scale, size_px), resized_depth(np.stack(errors) * scale, size_px)
-    )
-
-
-def _shrink(twin: Twin, mode: str) -> int:
-    return max(1, round(twin.size_px[0] / _WIDTHS[mode]))
-
-
-def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Float32, Float32]:
-    rows, columns, _ = change.shape
-    colours = _colours(change)
-    slopes = network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
-    outputs = network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
-    depth_mm = outputs[:, 0].reshape(rows, columns)
-    error_mm = np.exp(np.clip(outputs[:, 1], -8, 2)).reshape(rows, columns)
-    return np.where(depth_mm > _NO_CONTACT_MM, depth_mm, 0), error_mm
-
-
-def _colours(change: Float32) -> Float32:
-    """Return inputs of the network of slopes, (H W, 11): colour changes, sharp and blurred, and place."""
-    rows, columns, _ = change.shape
-    soft = _blurred(change, _BLURS[0] * columns)
-    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
-    position = np.stack([x, y, x * x, x * y, y * y], axis=-1).astype(np.float32)
-    return np.concatenate([change, soft, position], axis=-1).reshape(-1, 11)
-
-
-def _surroundings(colours: Float32, slopes: Float32) -> Float32:
-    """Return inputs of the network of depth: colours, slopes and integrated surface, at and around pixels."""
-    rows, columns, _ = slopes.shape
-    surface = integrated(slopes)
-    level = surface - np.float32(np.percentile(surface, 90))
-    change = colours[:, 3:6].reshape(rows, columns, 3)
-    parts = [slopes, level[..., None]]
-    for share in _BLURS[1:]:
-        around = np.concatenate([change, slopes, level[..., None]], axis=-1)
-        parts.append(_blurred(around, share * columns))
-    whole = np.array([level.min(), level.mean(), np.abs(change).max()], np.float32)
-    parts.append(np.broadcast_to(whole, (rows, columns, 3)))
-    return np.concatenate([colours, np.concatenate(parts, axis=-1).reshape(rows * columns, -1)], axis=1)
-
-
-def _blurred(image: Float32, sigma_px: float) -> Float32:
-    rows, columns, many = image.shape
-    plane = image.reshape(rows, columns * many).astype(np.float64)
-    across = gel.half_kernel(sigma_px, columns)
-    down = gel.half_kernel(sigma_px, rows)
-    blur(plane, across, down, many, None, plane)
-    return plane.reshape(image.shape).astype(np.float32)
+    depth_m = np.float32(1e-3) * np.where(depth_mm > _NO_CONTACT_MM, depth_mm, 0)
+    error_m = np.float32(1e-3) * np.exp(np.clip(log_error, -8, 2))
+    return DepthReading(resized_depth(depth_m, size_px), resized_depth(error_m, size_px))
 
 
 def integrated(slopes: Float32) -> Float32:
@@ -238,62 +251,76 @@ def integrated(slopes: Float32) -> Float32:
 
 def training_steps() -> int:
     """Return the steps of progress of :func:`train_reader`."""
-    return len(_WIDTHS) * sum(-(-count // _BATCHES_OF_A_STEP) for count in (_SLOPE_STEPS, _DEPTH_STEPS))
+    counts = [_SLOPE_STEPS] * _SLOPE_PASSES + [_DEPTH_STEPS]
+    return sum(-(-count // _BATCHES_OF_A_STEP) for count in counts)
 
 
 def train_reader(twin: Twin, fit: Fit, steps: Steps) -> dict[str, Float32]:
     """Return the weights of the networks of a twin."""
     rng = np.random.default_rng(0)
-    samples: dict[str, list[_Sample]] = {mode: [] for mode in _WIDTHS}
+    views = [(_View(twin, mode), count) for mode, count in _PER_TOUCH.items()]
+    samples: list[_Sample] = []
     for image, depth_mm, weight in _samples(twin, fit, rng):
-        for mode, kept in samples.items():
-            shrink = _shrink(twin, mode)
-            depth = shrunk(depth_mm, shrink)
-            pixels = rng.permutation(depth.size)[: _PER_TOUCH * weight]
-            change = shrunk(image, shrink) - shrunk(twin.background, shrink)
-            slopes = _true_slopes(depth, twin, shrink).reshape(-1, 2)
-            kept.append(_Sample(change, pixels, slopes[pixels], depth.reshape(-1, 1)[pixels]))
-    weights: dict[str, Float32] = {}
-    for mode, kept in samples.items():
-        weights |= _trained(mode, kept, rng, steps)
-    return weights
+        for view, count in views:
+            depth = shrunk(depth_mm, view.shrink)
+            pixels = rng.permutation(depth.size)[: count * weight]
+            slopes = view.slopes_of(depth).reshape(-1, 2)[pixels]
+            samples.append(_Sample(view, view.change(image), pixels, slopes, depth.reshape(-1, 1)[pixels]))
+    reader: dict[str, Float32] = {}
+    known: list[Float32 | None] = [None] * len(samples)
+    missing = np.concatenate([sample.slopes for sample in samples])
+    for number in range(_SLOPE_PASSES):
+        inputs = _inputs_of(samples, known)
+        reader |= _trained(number, inputs, missing, _slope_gradient, rng, _SLOPE_STEPS, steps)
+        missing -= network_output(reader, _network(number)[0], inputs)
+        for at, sample in enumerate(samples):
+            known[at] = sample.view.corrected(reader, number, sample.change, known[at])
+    inputs = _inputs_of(samples, known)
+    depths = np.concatenate([sample.depth_mm for sample in samples])
+    return reader | _trained(_SLOPE_PASSES, inputs, depths, _depth_gradient, rng, _DEPTH_STEPS, steps)
 
 
 class _Sample(NamedTuple):
     """How an image differs from the background, and slopes and depth at some of its pixels."""
 
+    view: _View
     change: Float32
     pixels: Int64
     slopes: Float32
     depth_mm: Float32
 
 
-def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator, steps: Steps) -> dict[str, Float32]:
-    """Train both networks of a mode: slopes first, then depth from what the first one finds."""
-    # Colours of all pixels at once would take four times the memory of the images.
-    inputs = np.concatenate([_colours(sample.change)[sample.pixels] for sample in samples])
-    targets = np.concatenate([sample.slopes for sample in samples])
-    widths = (*_SLOPE_HIDDEN, 2)
-    slope = train_network(inputs, targets, widths, _slope_gradient, rng, _SLOPE_STEPS, steps)
-    reader = {f"{mode}_slope_{key}": array for key, array in slope.items()}
-    first = 0
-    targets = np.concatenate([sample.depth_mm for sample in samples])
-    for sample in samples:
-        colours = _colours(sample.change)
-        slopes = network_output(reader, f"{mode}_slope", colours).reshape(*sample.change.shape[:2], 2)
-        part = _surroundings(colours, slopes)[sample.pixels]
-        if not first:  # in place: parts and the whole would take twice the memory
-            inputs = np.empty((len(targets), part.shape[1]), np.float32)
-        inputs[first : first + len(part)] = part
-        first += len(part)
-    widths = (*_DEPTH_HIDDEN, 2)
-    depth = train_network(inputs, targets, widths, _depth_gradient, rng, _DEPTH_STEPS, steps)
-    return reader | {f"{mode}_depth_{key}": array for key, array in depth.items()}
+def _inputs_of(samples: list[_Sample], known: list[Float32 | None]) -> Float32:
+    """Return the inputs of a network at the pixels of all samples, (n, m)."""
+    ends = np.cumsum([len(sample.pixels) for sample in samples])
+    out = np.empty((0, 0), np.float32)
+    for sample, slopes, end in zip(samples, known, ends.tolist(), strict=True):
+        part = sample.view.inputs(sample.change, slopes)[:, sample.pixels].T
+        if not out.size:  # in place: parts and the whole would take twice the memory
+            out = np.empty((ends[-1], part.shape[1]), np.float32)
+        out[end - len(part) : end] = part
+    return out
+
+
+def _trained(
+    number: int,
+    inputs: Float32,
+    targets: Float32,
+    loss_gradient: Callable[[Float32, Float32], Float32],
+    rng: np.random.Generator,
+    count: int,
+    steps: Steps,
+) -> dict[str, Float32]:
+    """Return the weights of one of the networks by name."""
+    name, hidden = _network(number)
+    weights = train_network(inputs, targets, (*hidden, 2), loss_gradient, rng, count, steps)
+    return {f"{name}_{key}": array for key, array in weights.items()}
 
 
 def _slope_gradient(outputs: Float32, targets: Float32) -> Float32:
+    """Return derivatives of the absolute error of both slopes."""
     error = outputs - targets
-    return np.asarray(error / np.sqrt(error * error + np.float32(1e-4)))
+    return np.asarray(error / np.sqrt(error * error + np.float32(_SMOOTH_SLOPE**2)))
 
 
 def _depth_gradient(outputs: Float32, targets: Float32) -> Float32:
@@ -302,15 +329,6 @@ def _depth_gradient(outputs: Float32, targets: Float32) -> Float32:
     log_width = np.clip(outputs[:, 1:], -8, 2)
     sharp = error / np.sqrt(error * error + np.float32(_SMOOTH_MM**2))
     return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(error) * np.exp(-log_width))], axis=1)
-
-
-def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
-    """Return the slopes of the gel, mm per pixel along x and y upwards, shape (H, W, 2)."""
-    rows, columns = depth_mm.shape
-    pitch_m = 2 * twin.half_m / [columns, rows]
-    soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, gel.unbent(twin.shape))
-    down, across = np.gradient(soft)
-    return np.stack([across, -down], axis=-1).astype(np.float32)
 
 
 def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:

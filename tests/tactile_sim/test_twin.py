@@ -353,7 +353,7 @@ def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
     if harm == "geometry":
         arrays["half_m"][0] = 1e9
     if harm == "missing":
-        del arrays["reader_full_depth_w0"]
+        del arrays["reader_depth_w0"]
     if harm in ("changed", "geometry", "missing", "pickle"):
         np.savez(file, **arrays)
     if harm == "huge":
