@@ -24,7 +24,7 @@ from tactile_toolkit.wording import with_count
 
 _MAX_LIGHT_DRIFT = 0.15  # of the gains of frames, root mean square
 _MAX_HEIGHT_ERROR_M = 2e-4  # root mean square, by the first round, which is held to stated heights
-_SURE_SCALE = 2.5  # standard deviations
+_SURE_SCALE = 3.0  # standard deviations
 _MOST_OFF = 0.5  # share of touches that are off: beyond it, all are searched near their stated poses
 _MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
 

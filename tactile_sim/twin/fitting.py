@@ -29,8 +29,8 @@ COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives, and expected deviations from the guess.
-_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05])
-_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 8.0, 0.5])
+_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004])
+_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 8.0, 0.5, 0.015])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
@@ -204,21 +204,33 @@ class Fit:
         reach_m = self.indentation(touch, self.poses[touch], self.shape, margin)
         return -gel.seen_through(-reach_m, self.pitch_m(self.shape), self.shape, margin)
 
-    def surface(self, touch: int, pose: Float64, shape: Float64) -> Float32:
-        """Return the surface of the gel at a touch, (H, W), metres."""
+    def pressed(self, touch: int, pose: Float64, shape: Float64) -> Float32:
+        """Return the surface of the gel at a touch with a margin, metres, before the camera sees it."""
         margin = gel.margin_px(self.size[1])
         indentation_m = self.indentation(touch, pose, shape, margin)
-        return gel.gel_surface(indentation_m, self.pitch_m(shape), shape, margin)
+        return gel.pressed_surface(indentation_m, self.pitch_m(shape), shape, margin)
+
+    def seen(self, pressed: Float32, shape: Float64) -> Float32:
+        """Return the surface of the gel as the camera sees it, (H, W), metres."""
+        return gel.seen_through(pressed, self.pitch_m(shape), shape, gel.margin_px(self.size[1]))
+
+    def shown(self, seen: Float32, shape: Float64) -> Float32:
+        """Return the rendered change of an image against the background, (H, W, 3), levels."""
+        return gel.response(
+            seen, self.pitch_m(shape), shape, gel.response_table(self.coefficients), self.terms
+        )
 
     def rendered(self, touch: int, pose: Float64, shape: Float64) -> Float32:
-        """Return the rendered change of an image against the background, (H, W, 3), levels."""
-        soft = self.surface(touch, pose, shape)
-        table = gel.response_table(self.coefficients)
-        return gel.response(soft, self.pitch_m(shape), shape, table, self.terms)
+        """Return the rendered change of the image of a touch, (H, W, 3), levels."""
+        return self.shown(self.seen(self.pressed(touch, pose, shape), shape), shape)
 
-    def residual(self, touch: int) -> tuple[Float32, Float32, Float32]:
-        """Return the rendered change and the residuals (H, W, 3), levels, and the weights (H, W)."""
-        base = self.rendered(touch, self.poses[touch], self.shape)
+    def residual(self, touch: int, base: Float32 | None = None) -> tuple[Float32, Float32]:
+        """Return the residuals of an image (H, W, 3), levels, and its weights (H, W).
+
+        ``base`` is its rendered change, if it is known.
+        """
+        if base is None:
+            base = self.rendered(touch, self.poses[touch], self.shape)
         image, mask = self.image(touch)
         residuals = image - self.behind - base
         # Geman and McClure's weights: outliers lose their influence.
@@ -226,7 +238,7 @@ class Fit:
         weights = (mask / np.square(1 + largest)).astype(np.float32)
         self.rms[touch] = np.sqrt(np.mean(residuals[mask] ** 2)) if mask.any() else np.nan
         self.robust_std[touch] = 1.4826 * float(np.median(np.abs(residuals)))
-        return base, residuals, weights
+        return residuals, weights
 
     def step(self, moving: tuple[Fitted, ...] = ()) -> float:
         """Take a step, and return how far the whole step moves the geometry, in parts of its expected spread.
@@ -260,20 +272,26 @@ class Fit:
         """Return the weighted sum of squared residuals of all used touches."""
         total = 0.0
         for touch in np.flatnonzero(self.used).tolist():
-            _, residuals, weights = self.residual(touch)
+            residuals, weights = self.residual(touch)
             total += _robust_square(residuals, weights)
         return total
 
     def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> float:
         """Add a touch to the sums of a step, and return its weighted sum of squared residuals."""
-        base, residuals, weights = self.residual(touch)
+        pressed = self.pressed(touch, self.poses[touch], self.shape)
+        seen = self.seen(pressed, self.shape)
+        base = self.shown(seen, self.shape)
+        residuals, weights = self.residual(touch, base)
         columns = [residuals]
         unknowns = []
         if moving:
             for index in moving:
                 shape = self.shape.copy()
                 shape[index] += _SHAPE_STEP[index]
-                columns.append((self.rendered(touch, self.poses[touch], shape) - base) / _SHAPE_STEP[index])
+                moved = pressed
+                if index not in gel.OF_THE_VIEW:
+                    moved = self.pressed(touch, self.poses[touch], shape)
+                columns.append((self.shown(self.seen(moved, shape), shape) - base) / _SHAPE_STEP[index])
                 unknowns.append(int(index))
             for own in range(_OWN):
                 pose = self.poses[touch].copy()
@@ -281,9 +299,7 @@ class Fit:
                 columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
                 unknowns.append(_SHARED + _OWN * touch + own)
         pitch_m = self.pitch_m(self.shape)
-        features = gel.surface_features(
-            self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape
-        )
+        features = gel.surface_features(seen, pitch_m, self.shape)
         blur_px = self.shape[Fitted.BLUR] / pitch_m
         sums.add(
             features, self.terms, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px

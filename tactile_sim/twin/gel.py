@@ -1,9 +1,10 @@
 """The gel of a twin: it has the shape of the solid in contact, and leaves it smoothly around the contact.
 
-As in Taxim (Si and Yuan, IEEE Robotics and Automation Letters 7 (2), 2022, section IV), the gel is blurred by
+An elastic gel is a layer whose contact is solved. Any other is a surface that is pulled down by the solid. As
+in Taxim (Si and Yuan, IEEE Robotics and Automation Letters 7 (2), 2022, section IV), the gel is blurred by
 Gaussians of falling width. After each but the last of them, it takes the shape of the solid again where it is
 in contact. Here, the greatest width, the last width, the share of the press depth from which the solid is
-in contact, and how far the gel rises around a contact, as elastic gels do, are fitted. The edge of the
+in contact, and how far the gel rises around a contact are fitted. The edge of the
 contact is about as wide as a pixel, so that images change smoothly with all of them.
 """
 
@@ -15,6 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from tactile_sim.elastic.contact import Gel, contact_problem, surface_of
 from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels, view_kernels
 from tactile_toolkit.arithmetic import exp_neg
@@ -34,9 +36,11 @@ _LIGHT_PX = 100  # width of the maps of light; the penumbra is about as wide as 
 _RING = 1.28  # distance of lamps from the middle, in halves of the diagonal: 15 mm for a GelSight Mini
 _REACHES_M = np.geomspace(2.5e-4, 6e-3, 10)  # at which the gel is compared with a pixel
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
+_SOLVED_M = 0.00024  # greatest width of blocks of pixels of which a contact is solved
+_FAR_M = 1.0
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
-LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5])
-MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5])
+LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
+MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
 """Least and greatest values of a geometry."""
 
 WHOLE = np.ones(2)
@@ -54,6 +58,8 @@ class Fitted(IntEnum):
     and ``LAST`` the last one, metres; ``CONTACT`` is the share of the press depth from which the solid is in
     contact, ``BLUR`` the blur of the camera, metres on the gel, ``CAMERA`` one over the distance of the
     camera from the gel, 1 / metres, and ``RISE`` the share of the volume pressed in by which the gel rises.
+    ``POISSON`` is Poisson's ratio of an elastic gel, which has no width, contact and rise of its own, and 0
+    for any other.
     """
 
     WIDE = 0
@@ -66,6 +72,11 @@ class Fitted(IntEnum):
     BLUR = 7
     CAMERA = 8
     RISE = 9
+    POISSON = 10
+
+
+OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA)
+"""Values that change how a gel is seen, and not how it is pressed."""
 
 
 def unbent(shape: Float64) -> Float64:
@@ -98,11 +109,53 @@ def gel_surface(
     where it counts as no higher than within the image; ``pitch_m`` the size of a pixel; ``span`` the share of
     the image that is shown. The lens is that of ``shape``.
     """
+    pressed = pressed_surface(indentation_m, pitch_m, shape, margin)
+    return seen_through(pressed, pitch_m, shape, margin, span)
+
+
+def pressed_surface(indentation_m: Floating, pitch_m: Float64, shape: Float64, margin: int = 0) -> Float32:
+    """Return the surface of the gel with its margin, before the camera sees it; see :func:`gel_surface`."""
+    press = _elastic_surface if shape[Fitted.POISSON] else _pulled_surface
+    return press(indentation_m, pitch_m, shape, margin)
+
+
+def _elastic_surface(indentation_m: Floating, pitch_m: Float64, shape: Float64, margin: int) -> Float32:
+    """Return the surface of an elastic layer that a solid is pressed into."""
+    rows, columns = indentation_m.shape
+    greatest_m = float(indentation_m[margin : rows - margin, margin : columns - margin].max())
+    block_px = max(1, int(_SOLVED_M / max(pitch_m)))
+    sides = [(0, -side % block_px) for side in (rows, columns)]
+    body_m = np.pad(np.minimum(indentation_m, greatest_m).astype(np.float64), sides)
+    blocks = body_m.reshape(len(body_m) // block_px, block_px, -1, block_px).mean(axis=(1, 3))
+    soft = np.zeros(indentation_m.shape, np.float32)
+    deepest_m = float(blocks.max())
+    if deepest_m > 0:
+        size_m = tuple((block_px * pitch_m).tolist())
+        # Where the solid does not reach the gel at rest, the gel may rise.
+        below_m = np.where(blocks > 0, deepest_m - blocks, _FAR_M)
+        material = Gel(poisson_ratio=float(shape[Fitted.POISSON]), friction=0.0)
+        problem = contact_problem(
+            below_m,
+            size_m,
+            material,
+            float(shape[Fitted.GEL]),
+            (deepest_m, False),
+            np.zeros((2, *blocks.shape)),
+        )
+        fields = problem.solve().fields[5:7]
+        into_m, _ = surface_of(fields, np.where(body_m > 0, body_m, -np.inf), block_px)
+        soft[:] = -into_m[:rows, :columns]
+    surface_kernels.soften(soft, soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape), 0)
+    return soft
+
+
+def _pulled_surface(indentation_m: Floating, pitch_m: Float64, shape: Float64, margin: int) -> Float32:
+    """Return the surface of a gel that is pulled down around a solid, by Gaussians."""
     sigmas_m = [*(shape[Fitted.WIDTH] * _NARROWER ** np.arange(_WIDTHS)), shape[Fitted.LAST]]
     blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
-    # Pixels around the image that are seen: two, and more through a lens with a positive term.
+    # Pixels around the image that are seen: three, and more through a lens with a positive term.
     bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
-    around_px = 2 + int(bent * max(indentation_m.shape) / 2)
+    around_px = 3 + int(bent * max(indentation_m.shape) / 2)
     insets = []
     for blur in reversed(blurs):
         around_px += max(len(blur.across), len(blur.down)) << blur.halvings
@@ -111,10 +164,9 @@ def gel_surface(
     edge_m = _EDGE * float(pitch_m[0])
     around = gel_blur(_AROUND * shape[Fitted.GEL] / pitch_m, indentation_m.shape)
     rise = float(shape[Fitted.RISE])
-    soft = surface_kernels.press_gel(
+    return surface_kernels.press_gel(
         indentation_m, margin, blurs, tuple(reversed(insets)), around, rise, share, edge_m
     )
-    return seen_through(soft, pitch_m, shape, margin, span)
 
 
 def own_surface(

@@ -227,12 +227,15 @@ def features(
 
 @compiled
 def add_normal(normal: Float64, entries: Int64, shares: Float32, terms: Float32, weights: Float32) -> None:
-    """Add weighted products of features to the lower half of the normal matrix of coefficients."""
+    """Add weighted products of features to the lower half of the normal matrix of coefficients.
+
+    Every second pixel counts twice: the matrix decides how long steps are, not where they end.
+    """
     columns = weights.shape[1]
     values = np.empty(ACTIVE * TERMS)
     unknowns = np.empty(ACTIVE * TERMS, np.int64)
-    for at in range(len(entries)):
-        weight = weights[at // columns, at % columns]
+    for at in range(0, len(entries), 2):
+        weight = 2.0 * weights[at // columns, at % columns]
         if weight <= 0.0:
             continue
         here = terms[at // columns, at % columns]

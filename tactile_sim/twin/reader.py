@@ -20,7 +20,7 @@ from tactile_sim.press.sensors import DepthReading
 from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps, shrunk
 from tactile_sim.twin.recordings import Relief, frame_gains
-from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
+from tactile_sim.twin.twin import Twin, resized_depth
 from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
 
 _LEAK = np.float32(0.1)
@@ -165,10 +165,9 @@ class _View:
         """Return how an image differs from the background, (h, w, 3)."""
         return shrunk(image, self.shrink) - self.background
 
-    def slopes_of(self, depth_mm: Float32) -> Float32:
-        """Return the slopes of the gel along x and y upwards, (h, w, 2), from depth (h, w)."""
-        soft = gel.gel_surface(depth_mm.astype(np.float64) / 1e3, self.pitch_m, gel.unbent(self._shape))
-        down, across = np.gradient(soft)
+    def slopes_of(self, surface_m: Float32) -> Float32:
+        """Return the slopes along x and y upwards, (h, w, 2), of a surface of the gel in full size."""
+        down, across = np.gradient(shrunk(surface_m, self.shrink))
         return np.asarray(np.stack([across, -down], axis=-1) / self.pitch_m, np.float32)
 
     def inputs(self, change: Float32, known: Float32 | None) -> Float32:
@@ -260,11 +259,11 @@ def train_reader(twin: Twin, fit: Fit, steps: Steps) -> dict[str, Float32]:
     rng = np.random.default_rng(0)
     views = [(_View(twin, mode), count) for mode, count in _PER_TOUCH.items()]
     samples: list[_Sample] = []
-    for image, depth_mm, weight in _samples(twin, fit, rng):
+    for image, surface_m, depth_mm, weight in _samples(twin, fit, rng):
         for view, count in views:
             depth = shrunk(depth_mm, view.shrink)
             pixels = rng.permutation(depth.size)[: count * weight]
-            slopes = view.slopes_of(depth).reshape(-1, 2)[pixels]
+            slopes = view.slopes_of(surface_m).reshape(-1, 2)[pixels]
             samples.append(_Sample(view, view.change(image), pixels, slopes, depth.reshape(-1, 1)[pixels]))
     reader: dict[str, Float32] = {}
     known: list[Float32 | None] = [None] * len(samples)
@@ -331,30 +330,35 @@ def _depth_gradient(outputs: Float32, targets: Float32) -> Float32:
     return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(error) * np.exp(-log_width))], axis=1)
 
 
-def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:
-    """Yield images, depth in mm, and weights, of recordings and of rendered touches."""
+def _samples(
+    twin: Twin, fit: Fit, rng: np.random.Generator
+) -> Iterator[tuple[Float32, Float32, Float32, int]]:
+    """Yield images, surfaces of the gel, m, depth, mm, and weights, of recordings and rendered touches."""
     presses = []
     residuals = []
     for touch in np.flatnonzero(fit.used).tolist():
         depth_m = fit.seen_depth_m(touch)
         presses.append(float(depth_m.max()))
         image, _ = fit.image(touch)
-        yield image, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
-        residuals.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
-    optics = TwinOptics(twin)
+        surface_m = fit.seen(fit.pressed(touch, fit.poses[touch], fit.shape), fit.shape)
+        yield image, surface_m, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
+        residuals.append(image - fit.background - fit.shown(surface_m, fit.shape))
+    table = gel.response_table(twin.coefficients)
+    terms = gel.position_terms(twin.background)
     reliefs = list(fit.reliefs.values())
+    margin = gel.margin_px(twin.size_px[0])
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
         if rng.random() < _SIMPLE_SHARE:
             relief = simple_shape(rng)
-        margin = gel.margin_px(twin.size_px[0])
-        reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
-        clean = twin.background + optics.response(reach_m, margin=margin)
-        reach_m = -gel.seen_through(-reach_m, twin.pitch_m, twin.shape, margin)
+        reach_m = _pressed(twin, relief, rng, presses, margin)
+        surface_m = gel.gel_surface(reach_m, twin.pitch_m, twin.shape, margin)
+        clean = twin.background + gel.response(surface_m, twin.pitch_m, twin.shape, table, terms)
+        depth_mm = -1e3 * gel.seen_through(-reach_m, twin.pitch_m, twin.shape, margin)
         # Residuals of recordings: the noise of the sensor, and effects that the twin does not render.
         noise = residuals[number % len(residuals)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
-        yield image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1
+        yield image.astype(np.float32), surface_m, depth_mm.astype(np.float32), 1
 
 
 def _pressed(

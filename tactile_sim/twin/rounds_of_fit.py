@@ -34,22 +34,20 @@ class _Round(NamedTuple):
     ridge: float
 
 
-_COARSE_ROUND = _Round(80, 8, tuple(value for value in Fitted if value is not Fitted.LAST), 1.0)
-_FINE_ROUND = _Round(160, 8, tuple(Fitted), 0.1)
-# Only elastic gels rise: by 0.6 to 0.9 after the first round, others by -0.1 to 0.1. Images hardly tell their
-# width and contact from the depth, so these follow from the thickness. On solved contacts of layers with
-# Poisson's ratios from 0.45 to 0.49, the width is 0.18 to 0.22 of the thickness, and contact begins at 0.26
-# to 0.44 of the depth; near these, the values below read depth with the least bias.
+_OF_PULLED_GELS = (Fitted.WIDTH, Fitted.LAST, Fitted.CONTACT, Fitted.RISE)
+_PULLED = tuple(value for value in Fitted if value is not Fitted.POISSON)
+_ELASTIC = tuple(value for value in Fitted if value not in _OF_PULLED_GELS)
+_COARSE_ROUND = _Round(80, 6, tuple(value for value in _PULLED if value is not Fitted.LAST), 1.0)
+# Only elastic gels rise: by 0.4 to 0.9 after the first round, others by -0.1 to 0.1.
 _ELASTIC_RISE = 0.3
-_ELASTIC_WIDTH, _ELASTIC_CONTACT = 0.23, 0.33
-_ELASTIC_ROUND = _FINE_ROUND._replace(
-    moving=tuple(value for value in Fitted if value not in (Fitted.WIDTH, Fitted.CONTACT))
-)
+_POISSON_RATIO = 0.48  # of silicones, first guess
+_PULLED_ROUNDS = [_Round(160, 10, _PULLED, 0.1)]
+_ELASTIC_ROUNDS = [_Round(80, 6, _ELASTIC, 1.0), _Round(160, 4, _ELASTIC, 0.1)]
 
 _PASSES = 3
-STEPS = _COARSE_ROUND.steps + _FINE_ROUND.steps + _PASSES
+STEPS = _COARSE_ROUND.steps + sum(each.steps for each in _PULLED_ROUNDS) + _PASSES
 
-_SETTLED_MOVE = 0.01  # a round ends after a step that is smaller, in parts of the expected spread
+_SETTLED_MOVE = 0.015  # a round ends after a step that is smaller, in parts of the expected spread
 _MISFIT = 3.0  # as a multiple of the median error
 _LOOSE_M = 1e-4
 _LOOSE_RAD = np.deg2rad(0.5)
@@ -61,7 +59,9 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
-    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0, _RISE])
+    shape = np.array(
+        [0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0, _RISE, 0.0]
+    )
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
@@ -102,12 +102,12 @@ def run_coarse(fit: Fit, steps: Steps) -> float:
 
 def run_fine(fit: Fit, steps: Steps) -> None:
     """Run the rest of a fit: fine images, and then the response and the background in full size."""
+    rounds = _PULLED_ROUNDS
     if fit.shape[Fitted.RISE] > _ELASTIC_RISE:
-        fit.shape[Fitted.WIDTH] = _ELASTIC_WIDTH * fit.shape[Fitted.GEL]
-        fit.shape[Fitted.CONTACT] = _ELASTIC_CONTACT
-        _run_round(fit, steps, _ELASTIC_ROUND)
-    else:
-        _run_round(fit, steps, _FINE_ROUND)
+        fit.shape[Fitted.POISSON] = fit.shape_guess[Fitted.POISSON] = _POISSON_RATIO
+        rounds = _ELASTIC_ROUNDS
+    for settings in rounds:
+        _run_round(fit, steps, settings)
     fit.choose_ridge()
     fit.set_shrink(1)
     for _ in range(_PASSES):
@@ -162,6 +162,9 @@ def fit_report(fit: Fit) -> dict[str, Any]:
     width, height = fit.recordings.size_px
     pitch_mm = 2e3 * half_m / [width, height]
     shape = {value.name.lower(): float(fit.shape[value]) for value in Fitted}
+    gel_values = {"gel_blur_mm": 1e3 * shape["width"], "contact": shape["contact"]}
+    if shape["poisson"]:
+        gel_values = {"poisson_ratio": shape["poisson"]}
     return {
         "mm_per_px": float(np.sqrt(pitch_mm[0] * pitch_mm[1])),
         "mm_per_px_x": float(pitch_mm[0]),
@@ -169,8 +172,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "lens_k1": shape["lens"],
         "camera_mm": 1e3 / max(shape["camera"], 0.1),
         "gel_mm": 1e3 * shape["gel"],
-        "gel_blur_mm": 1e3 * shape["width"],
-        "contact": shape["contact"],
+        **gel_values,
         "camera_blur_px": float(fit.shape[Fitted.BLUR] / np.sqrt(pitch_mm[0] * pitch_mm[1] / 1e6)),
         "ridge": fit.ridge,
         "noise_levels": fit.noise,

@@ -27,12 +27,12 @@ class Twin:
 
     Attributes
     ----------
-    shape : ndarray of float64, shape (10,)
+    shape : ndarray of float64, shape (11,)
         Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first two values are 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.
-    coefficients : ndarray of float32, shape (entries, 6, 3)
-        Response by slope and depth, levels.
+    coefficients : ndarray of float32, shape (entries, 9, 3)
+        Response to slopes and lamps, levels.
     background : ndarray of float32, shape (H, W, 3)
         Image without contact, levels.
     reader : mapping of str to ndarray of float32
@@ -121,15 +121,6 @@ class TwinOptics(Optics):
                 change = self._response(gel.gel_surface, reach_m, span, margin, terms)
             surface_kernels.lay_over(out[number], change, behind)
         return out
-
-    def response(self, reach_m: Floating, margin: int, span: Float64 = gel.WHOLE) -> Float32:
-        """Return the change of the image (H, W, 3), levels, from how far a solid reaches into the gel.
-
-        The map has ``margin`` pixels more on each side; ``span`` is the share of the image that it shows,
-        along x and y, without them.
-        """
-        size = tuple(side - 2 * margin for side in reach_m.shape)
-        return self._response(gel.gel_surface, reach_m, span, margin, self._seen(span, size)[1])
 
     def _seen(self, span: Float64, size: tuple[int, ...]) -> tuple[Float32, Float32]:
         """Return the background of a view, and the terms of its pixels; those of the last view are kept."""

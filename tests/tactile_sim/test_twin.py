@@ -28,7 +28,6 @@ from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.matching import are_off, matched_poses
 from tactile_sim.twin.rounds_of_fit import start_fit
-from tactile_sim.twin.twin import TwinOptics
 from tactile_toolkit.errors import InputError
 from tests.short_training import shorten_training
 from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
@@ -94,7 +93,7 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     before = np.nanmedian(fit.rms)
     assert before < change
     for _ in range(3):
-        fit.step(tuple(Fitted))
+        fit.step(rounds_of_fit._PULLED)
     assert np.nanmedian(fit.rms) < 0.95 * before
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
@@ -223,7 +222,7 @@ def test_a_sensor_with_near_lamps_an_elastic_gel_and_a_near_camera_is_met():
 @pytest.mark.thorough
 def test_images_that_show_nothing_of_the_solids_are_refused(monkeypatch):
     """Images without range, of one touch among many, and noise end in a sentence; coarse fits suffice."""
-    monkeypatch.setattr(rounds_of_fit, "_FINE_ROUND", rounds_of_fit._COARSE_ROUND._replace(steps=0))
+    monkeypatch.setattr(rounds_of_fit, "_PULLED_ROUNDS", [])
     recordings = recordings_of(draw_sensor(3, "phong", (48, 36)).record(digits(2), 6))
     white = np.full_like(recordings.images, 255)
     single = recordings.backgrounds[:1].repeat(6, axis=0)
@@ -468,11 +467,12 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
 
 def test_rendering_leaves_pixels_at_rest_alone():
     """Far from a contact the response is exactly none."""
-    optics = TwinOptics(dataclasses.replace(made_up_twin(), half_m=10 * HALF_M))
+    twin = dataclasses.replace(made_up_twin(), half_m=10 * HALF_M)
     small = np.zeros((48, 64))
     small[24, 8] = 1e-3
-    wide = surface_kernels.extend(-small, 0.0, 8)
-    assert (optics.response(wide, 8)[:, 50:] == 0).all()
+    soft = gel.gel_surface(surface_kernels.extend(-small, 0.0, 8), twin.pitch_m, twin.shape, 8)
+    table, terms = gel.response_table(twin.coefficients), gel.position_terms(twin.background)
+    assert (gel.response(soft, twin.pitch_m, twin.shape, table, terms)[:, 50:] == 0).all()
 
 
 def test_wrong_recordings_are_refused():
