@@ -251,7 +251,8 @@ class Fit:
         before = self.shape, self.poses, self.coefficients
         moved = sums.solve(self, moving)
         shift = np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()
-        self.shape = np.clip(self.shape + moved[:_SHARED], gel.LEAST, gel.MOST)
+        self.shape = self.shape + moved[:_SHARED]
+        self.shape = gel.bounded(self.shape, self.half_m(self.shape), self.size[1])
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
         after = self.shape, self.poses, self.coefficients
         for factor in _STEP_FACTORS:

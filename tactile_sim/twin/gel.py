@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.elastic.contact import Gel, contact_problem, surface_of
+from tactile_sim.elastic.contact import Gel, contact_problem, require_residual, surface_of
 from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels, view_kernels
 from tactile_toolkit.arithmetic import exp_neg
@@ -39,9 +39,9 @@ _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there a
 _SOLVED_M = 0.00024  # greatest width of blocks of pixels of which a contact is solved
 _FAR_M = 1.0
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
-LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
-MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
-"""Least and greatest values of a geometry."""
+_LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
+_MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
+_MOST_LAYERS = 60  # greatest diagonal of the image, in thicknesses of an elastic gel
 
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
@@ -77,6 +77,19 @@ class Fitted(IntEnum):
 
 OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA)
 """Values that change how a gel is seen, and not how it is pressed."""
+
+
+def bounded(shape: Float64, half_m: Float64, width_px: int) -> Float64:
+    """Return the nearest geometry that can be rendered; ``half_m`` are half the sides of the image.
+
+    The contact of an elastic gel is not solved where it is thinner than a pixel, or than 1 / 60 of the
+    diagonal.
+    """
+    least = _LEAST.copy()
+    if shape[Fitted.POISSON] > 0:
+        thinnest_m = max(np.hypot(*half_m) / (_MOST_LAYERS / 2), 2 * half_m[0] / width_px)
+        least[Fitted.GEL] = min(thinnest_m, _MOST[Fitted.GEL])
+    return np.clip(shape, least, _MOST)
 
 
 def unbent(shape: Float64) -> Float64:
@@ -123,7 +136,8 @@ def _elastic_surface(indentation_m: Floating, pitch_m: Float64, shape: Float64, 
     """Return the surface of an elastic layer that a solid is pressed into."""
     rows, columns = indentation_m.shape
     greatest_m = float(indentation_m[margin : rows - margin, margin : columns - margin].max())
-    block_px = max(1, int(_SOLVED_M / max(pitch_m)))
+    thickness_m = float(shape[Fitted.GEL])
+    block_px = max(1, int(min(_SOLVED_M, thickness_m / 4) / max(pitch_m)))
     sides = [(0, -side % block_px) for side in (rows, columns)]
     body_m = np.pad(np.minimum(indentation_m, greatest_m).astype(np.float64), sides)
     blocks = body_m.reshape(len(body_m) // block_px, block_px, -1, block_px).mean(axis=(1, 3))
@@ -138,12 +152,13 @@ def _elastic_surface(indentation_m: Floating, pitch_m: Float64, shape: Float64, 
             below_m,
             size_m,
             material,
-            float(shape[Fitted.GEL]),
+            thickness_m,
             (deepest_m, False),
             np.zeros((2, *blocks.shape)),
         )
-        fields = problem.solve().fields[5:7]
-        into_m, _ = surface_of(fields, np.where(body_m > 0, body_m, -np.inf), block_px)
+        solution = problem.solve()
+        require_residual(solution.error, solution.iterations)
+        into_m, _ = surface_of(solution.fields[5:7], np.where(body_m > 0, body_m, -np.inf), block_px)
         soft[:] = -into_m[:rows, :columns]
     surface_kernels.soften(soft, soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape), 0)
     return soft

@@ -119,7 +119,8 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
             raise ValueError(problem)
     shape = arrays["shape"]
     half_m = arrays["half_m"]
-    if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():
+    is_bounded = (gel.bounded(shape, half_m, background.shape[1]) == shape).all()
+    if not (is_bounded and ((half_m > 1e-4) & (half_m < 0.1)).all()):
         problem = "its geometry is out of bounds"
         raise ValueError(problem)
     reader = {name.removeprefix("reader_"): arrays[name] for name in expected if name.startswith("reader_")}

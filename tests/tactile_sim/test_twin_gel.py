@@ -262,6 +262,23 @@ def test_an_elastic_gel_is_a_solved_layer():
     assert (level == 0).all()
 
 
+@pytest.mark.parametrize("half_m", [2e-4, 9.4e-3, 0.09])
+@pytest.mark.parametrize("gel_m", [1e-4, 1e-3, 0.05])
+@pytest.mark.parametrize("poisson_ratio", [0.05, 0.499])
+def test_every_elastic_gel_within_bounds_is_solved(half_m: float, gel_m: float, poisson_ratio: float):
+    """Noise, a plate, a single pixel, and a press of a picometre; no gel is pressed in more than it is thick."""
+    shape = without(SHAPE, Fitted.LENS)
+    shape[[Fitted.GEL, Fitted.POISSON]] = gel_m, poisson_ratio
+    shape = gel.bounded(shape, half_m * np.array([1.0, 0.75]), 64)
+    noise = np.random.default_rng(0).uniform(0, 0.9 * gel_m, (48, 64))
+    single = np.zeros((48, 64))
+    single[20, 30] = 0.5 * gel_m
+    for reach in (noise, np.full((48, 64), 0.5 * gel_m), single, np.full((48, 64), 1e-12)):
+        soft = gel.gel_surface(reach, np.full(2, 2 * half_m / 64), shape, 8)
+        assert np.isfinite(soft).all()
+        assert soft.min() >= -1.001 * shape[Fitted.GEL]
+
+
 @pytest.mark.parametrize("lens", [-0.2, 0.0, 0.15])
 @pytest.mark.parametrize("width_m", [2e-4, 9e-4, 4e-3])
 def test_what_blurs_leave_out_is_not_seen(lens: float, width_m: float, monkeypatch):
