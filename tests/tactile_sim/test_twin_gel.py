@@ -266,7 +266,7 @@ def test_an_elastic_gel_is_a_solved_layer():
 @pytest.mark.parametrize("gel_m", [1e-4, 1e-3, 0.05])
 @pytest.mark.parametrize("poisson_ratio", [0.05, 0.499])
 def test_every_elastic_gel_within_bounds_is_solved(half_m: float, gel_m: float, poisson_ratio: float):
-    """Noise, a plate, a single pixel, and a press of a picometre; no gel is pressed in more than it is thick."""
+    """Noise, a plate, a single pixel, and a picometre; no gel is pressed in more than it is thick."""
     shape = without(SHAPE, Fitted.LENS)
     shape[[Fitted.GEL, Fitted.POISSON]] = gel_m, poisson_ratio
     shape = gel.bounded(shape, half_m * np.array([1.0, 0.75]), 64)
