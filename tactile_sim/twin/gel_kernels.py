@@ -33,7 +33,7 @@ HEIGHTS = np.array([0.3, 0.6])
 
 # Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
 _LAMP_VALUES = 4
-_PENUMBRA = np.float32(0.1)  # tangent, over which light is lost
+_PER_PENUMBRA = np.float32(10.0)  # one over the tangent over which light is lost
 
 _TOWARDS = np.array(
     [[math.cos(2 * math.pi * k / AZIMUTHS), math.sin(2 * math.pi * k / AZIMUTHS)] for k in range(AZIMUTHS)],
@@ -100,10 +100,11 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
 
 @part
 def _look_at(to: Float32, ahead: Float32, row: int, lamp_x: float, up: float, view: SurfaceView) -> None:
-    """Write how far a lamp is from the pixels of a row, (4, W).
+    """Write how far a lamp is from the pixels of a row, (5, W).
 
     The rows are the distance along x, the squared distance along the gel, the direction in steps of
-    ``AZIMUTHS``, and how steeply the gel rises on the way, between the directions of ``ahead``.
+    ``AZIMUTHS``, how steeply the gel rises on the way, between the directions of ``ahead``, and one over the
+    distance along the gel.
     """
     columns = ahead.shape[2]
     unit, width = np.float32(1.0), np.float32(view.pitch_x)
@@ -118,6 +119,7 @@ def _look_at(to: Float32, ahead: Float32, row: int, lamp_x: float, up: float, vi
         part = to[2, column] - np.float32(first)
         second = first + 1 if first < AZIMUTHS - 1 else 0
         to[3, column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
+        to[4, column] = unit / np.float32(math.sqrt(to[1, column]))
 
 
 @compiled
@@ -132,7 +134,8 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
     ring = np.float32(view.ring)
     unit, zero = np.float32(1.0), np.float32(0.0)
     out = np.empty((rows, columns, ENTRIES - SLOPES, _LAMP_VALUES), np.float32)
-    positions, to = np.empty((2, 4, columns), np.float32)
+    positions = np.empty((4, columns), np.float32)
+    to = np.empty((5, columns), np.float32)
     turned = np.empty(columns, np.float32)
     # By lamp, several pixels are computed at once.
     values = np.empty((ENTRIES - SLOPES, _LAMP_VALUES, columns), np.float32)
@@ -157,7 +160,7 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
                     at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * lamp_z
                     whole = positions[2, column] * to[0, column] + positions[3, column] * up + z
                     whole = share * turned[column] * whole
-                    behind = (to[3, column] - z / np.float32(math.sqrt(to[1, column]))) / _PENUMBRA
+                    behind = (to[3, column] - z * to[4, column]) * _PER_PENUMBRA
                     behind = behind if behind > zero else zero
                     behind = behind if behind < unit else unit
                     kept = (unit - behind) * whole if whole > zero else zero
