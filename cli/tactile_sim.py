@@ -401,9 +401,7 @@ def depth(
     name: str = options.NAME,
     source_options: SourceOptions,
     sensor: str = text(MISSING, metavar="SENSOR", help="Folder that `tactile-sim calibrate` wrote."),
-    fast: bool = checked_fields.switch(
-        False, help="Use a faster method, with about twice the error in two fifths of the time."
-    ),
+    fast: bool = checked_fields.switch(False, help="Read at half the resolution, in half of the time."),
     out: str = options.out_folder(),
     split: str | None = catalog.row_option("split"),
     limit: int | None = catalog.row_option("limit"),

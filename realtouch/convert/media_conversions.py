@@ -313,7 +313,7 @@ def add_depth(
     sensor : str or path
         Folder that ``tactile-sim calibrate`` wrote.
     fast : bool
-        Read in two fifths of the time, with an error about twice as large.
+        Read at half the resolution, in half of the time.
 
     Returns
     -------

@@ -28,8 +28,10 @@ _MIN_PIXEL_M, _MAX_PIXEL_M, _MAX_ASPECT = 1e-6, 0.1, 100.0
 _MAX_RANGE_M = 100.0
 _MAX_SLIDE_M = 1.0
 _MAX_TWIST_RAD = math.pi
-_MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
+MAX_LAYERS = 60.0
+"""Greatest diagonal of the window, in thicknesses of the gel."""
+
 MAX_RESIDUAL = 0.01
 """Greatest residual of a solution; the solver ends at 0.0007 unless it fails."""
 
@@ -246,7 +248,7 @@ def solve_unjudged(
     _require(isinstance(load, GelLoad), f"load is {load!r}; expected a GelLoad, such as GelLoad(force_n=5.0)")
     target = _checked_target(load)
     motion = _checked_motion(load)
-    thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MAX_LAYERS
+    thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / MAX_LAYERS
     thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
     block = _checked_block(block_px, heights, pixel, thickness)
     return _solve(heights, pixel, load.gel, thickness, target, motion, block)

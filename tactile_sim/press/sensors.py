@@ -351,7 +351,7 @@ class SensorModel:
         images : ndarray of uint8, shape (N, H, W, 3)
             Images of this sensor, in any size of its proportions.
         fast : bool
-            Read at half the resolution, several times as fast.
+            Read at half the resolution, in half of the time.
 
         Returns
         -------

@@ -16,8 +16,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.elastic.contact import Gel, contact_problem, require_residual, surface_of
+from tactile_sim.elastic.contact import MAX_LAYERS, Gel, contact_problem, require_residual, surface_of
 from tactile_sim.optics import taxim_kernels
+from tactile_sim.press.elastic_press import SOLVED_M
 from tactile_sim.twin import gel_kernels, surface_kernels, view_kernels
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.value_types import Float32, Float64, Floating, Int64
@@ -36,12 +37,10 @@ _LIGHT_PX = 100  # width of the maps of light; the penumbra is about as wide as 
 _RING = 1.28  # distance of lamps from the middle, in halves of the diagonal: 15 mm for a GelSight Mini
 _REACHES_M = np.geomspace(2.5e-4, 6e-3, 10)  # at which the gel is compared with a pixel
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
-_SOLVED_M = 0.00024  # greatest width of blocks of pixels of which a contact is solved
-_FAR_M = 1.0
+_FAR_M = 1.0  # below the highest point of a solid, out of reach of the gel
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
 _LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
 _MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
-_MOST_LAYERS = 60  # greatest diagonal of the image, in thicknesses of an elastic gel
 
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
@@ -58,8 +57,8 @@ class Fitted(IntEnum):
     and ``LAST`` the last one, metres; ``CONTACT`` is the share of the press depth from which the solid is in
     contact, ``BLUR`` the blur of the camera, metres on the gel, ``CAMERA`` one over the distance of the
     camera from the gel, 1 / metres, and ``RISE`` the share of the volume pressed in by which the gel rises.
-    ``POISSON`` is Poisson's ratio of an elastic gel, which has no width, contact and rise of its own, and 0
-    for any other.
+    ``POISSON`` is Poisson's ratio of an elastic gel, of which width, contact and rise mean nothing, and 0 of
+    any other.
     """
 
     WIDE = 0
@@ -82,12 +81,12 @@ OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA)
 def bounded(shape: Float64, half_m: Float64, width_px: int) -> Float64:
     """Return the nearest geometry that can be rendered; ``half_m`` are half the sides of the image.
 
-    The contact of an elastic gel is not solved where it is thinner than a pixel, or than 1 / 60 of the
-    diagonal.
+    The contact of an elastic gel that is thinner than a pixel, or has more layers than tables of the solver
+    suffice for, is not solved.
     """
     least = _LEAST.copy()
     if shape[Fitted.POISSON] > 0:
-        thinnest_m = max(np.hypot(*half_m) / (_MOST_LAYERS / 2), 2 * half_m[0] / width_px)
+        thinnest_m = max(np.hypot(*half_m) / (MAX_LAYERS / 2), 2 * half_m[0] / width_px)
         least[Fitted.GEL] = min(thinnest_m, _MOST[Fitted.GEL])
     return np.clip(shape, least, _MOST)
 
@@ -137,7 +136,7 @@ def _elastic_surface(indentation_m: Floating, pitch_m: Float64, shape: Float64, 
     rows, columns = indentation_m.shape
     greatest_m = float(indentation_m[margin : rows - margin, margin : columns - margin].max())
     thickness_m = float(shape[Fitted.GEL])
-    block_px = max(1, int(min(_SOLVED_M, thickness_m / 4) / max(pitch_m)))
+    block_px = max(1, int(min(SOLVED_M, thickness_m / 4) / max(pitch_m)))
     sides = [(0, -side % block_px) for side in (rows, columns)]
     body_m = np.pad(np.minimum(indentation_m, greatest_m).astype(np.float64), sides)
     blocks = body_m.reshape(len(body_m) // block_px, block_px, -1, block_px).mean(axis=(1, 3))

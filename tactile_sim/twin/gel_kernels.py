@@ -232,7 +232,8 @@ def features(
 def add_normal(normal: Float64, entries: Int64, shares: Float32, terms: Float32, weights: Float32) -> None:
     """Add weighted products of features to the lower half of the normal matrix of coefficients.
 
-    Every second pixel counts twice: the matrix decides how long steps are, not where they end.
+    Every second pixel counts twice: the matrix decides how long steps are, not where they end, and compares
+    ridges.
     """
     columns = weights.shape[1]
     values = np.empty(ACTIVE * TERMS)

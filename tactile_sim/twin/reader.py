@@ -36,7 +36,7 @@ _SLOPE_STEPS, _DEPTH_STEPS = 1000, 2500
 _BATCHES_OF_A_STEP = 200  # of progress, about as long as a step of a fit
 _SLOPE_HIDDEN = (32, 32)
 _DEPTH_HIDDEN = (64, 64)
-_PLACES = 5  # inputs: x, y, and their products
+_POSITIONS = 5  # inputs: x, y, and their products
 _COLOURS = 3  # maps that the first network sees: how an image differs from the background
 _MAPS = 9  # maps that the others see: these, what the twin does not render, two slopes, and the surface
 _BLURS = (0.01, 0.03, 0.09)  # of the width
@@ -134,7 +134,7 @@ def reader_shapes() -> dict[str, tuple[int, ...]]:
     for number in range(_SLOPE_PASSES + 1):
         name, hidden = _network(number)
         maps = _MAPS if number else _COLOURS
-        sizes = (_PLACES + maps * (1 + len(_BLURS)), *hidden, 2)
+        sizes = (_POSITIONS + maps * (1 + len(_BLURS)), *hidden, 2)
         shapes |= {f"{name}_mean": sizes[:1], f"{name}_scale": sizes[:1]}
         for layer, (wide, narrow) in enumerate(pairwise(sizes)):
             shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
@@ -158,7 +158,7 @@ class _View:
         self._table = gel.response_table(twin.coefficients)
         self._terms = gel.position_terms(self.background)
         y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.sides), indexing="ij")
-        self._places = np.stack([x, y, x * x, x * y, y * y])
+        self._positions = np.stack([x, y, x * x, x * y, y * y])
         self._blurs = [gel.gel_blur(np.full(2, share * self.sides[1]), self.sides) for share in _BLURS]
 
     def change(self, image: Float32) -> Float32:
@@ -180,11 +180,11 @@ class _View:
             level_mm = np.float32(1e3) * surface_m[..., None]
             maps = np.concatenate([change, change - shown, known, level_mm], axis=-1)
         count = maps.shape[2]
-        out = np.empty((_PLACES + count * (1 + len(_BLURS)), *self.sides), np.float32)
-        out[:_PLACES] = self._places
-        out[_PLACES : _PLACES + count] = np.moveaxis(maps, 2, 0)
+        out = np.empty((_POSITIONS + count * (1 + len(_BLURS)), *self.sides), np.float32)
+        out[:_POSITIONS] = self._positions
+        out[_POSITIONS : _POSITIONS + count] = np.moveaxis(maps, 2, 0)
         for number, blur in enumerate(self._blurs, 1):
-            for plane in range(_PLACES, _PLACES + count):
+            for plane in range(_POSITIONS, _POSITIONS + count):
                 surface_kernels.soften(out[plane + number * count], out[plane], blur, 0)
         return out.reshape(len(out), -1)
 
@@ -199,8 +199,8 @@ class _View:
         self, reader: Mapping[str, Float32], number: int, change: Float32, known: Float32 | None
     ) -> Float32:
         """Return slopes (h, w, 2) after a network has corrected those that are known so far."""
-        found = self.outputs(reader, number, change, known)
-        return found if known is None else known + found
+        correction = self.outputs(reader, number, change, known)
+        return correction if known is None else known + correction
 
 
 def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading:

@@ -34,9 +34,12 @@ class _Round(NamedTuple):
     ridge: float
 
 
-_OF_PULLED_GELS = (Fitted.WIDTH, Fitted.LAST, Fitted.CONTACT, Fitted.RISE)
 _PULLED = tuple(value for value in Fitted if value is not Fitted.POISSON)
-_ELASTIC = tuple(value for value in Fitted if value not in _OF_PULLED_GELS)
+# The blur by the skin of an elastic gel stays: images hardly change with it where it is less than a pixel.
+_ELASTIC = (
+    *(Fitted.WIDE, Fitted.HIGH, Fitted.LENS, Fitted.GEL),
+    *(Fitted.BLUR, Fitted.CAMERA, Fitted.POISSON),
+)
 _COARSE_ROUND = _Round(80, 6, tuple(value for value in _PULLED if value is not Fitted.LAST), 1.0)
 # Only elastic gels rise: by 0.4 to 0.9 after the first round, others by -0.1 to 0.1.
 _ELASTIC_RISE = 0.3
