@@ -111,8 +111,7 @@ class _Command(TyperCommand):
             sys.stderr.write(f"error: {wording.printable(message)}\n")
             raise typer.Exit(error.exit_code) from error
         except KeyboardInterrupt as error:
-            default = "interrupted; finished parts are kept, and the same command continues from them"
-            sys.stderr.write(f"{str(error) or default}\n")
+            sys.stderr.write(f"{str(error) or 'interrupted'}\n")
             raise typer.Exit(EXIT_INTERRUPTED) from error
 
     def _option(self, field: str) -> str:

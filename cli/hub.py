@@ -140,7 +140,7 @@ def download(
         if plan.missing_bytes > _LARGE_BYTES and not yes:
             refused = f"{size} would be fetched, and stdin is not a terminal"
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
-        with sink.progress("fetching", "bytes") as update:
+        with sink.progress("fetching", "bytes", keeps_parts=True) as update:
             target = plan.run(update)
     _print_download(sink, plan, target)
 

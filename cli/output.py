@@ -92,13 +92,24 @@ class Sink:
                 self.line(textwrap.fill(f"{label:<{wide}} {cell}", width, subsequent_indent=" " * (wide + 1)))
 
     @contextmanager
-    def progress(self, what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-        """Show progress unless ``--quiet`` was given; see :func:`tactile_toolkit.run.shown_progress`."""
+    def progress(
+        self, what: str, unit: str, *, keeps_parts: bool = False
+    ) -> Iterator[Callable[[int, int], None]]:
+        """Show progress unless ``--quiet`` was given; see :func:`tactile_toolkit.run.shown_progress`.
+
+        ``keeps_parts`` is whether the same command continues if the work is interrupted.
+        """
         quiet_s = 0.0
         if self.quiet:
             quiet_s = math.inf
-        with run.shown_progress(what, unit, quiet_s) as update:
-            yield update
+        try:
+            with run.shown_progress(what, unit, quiet_s) as update:
+                yield update
+        except KeyboardInterrupt as error:
+            if not keeps_parts:
+                raise
+            kept = "interrupted; finished parts are kept, and the same command continues from them"
+            raise KeyboardInterrupt(kept) from error
 
 
 def _encodable(document: str) -> str:

@@ -152,18 +152,14 @@ def gallery(
         options.refuse(further, data.kind.nouns)
     page: galleries.Gallery = data.kind.plan_gallery(data.place, chosen, **further)
     start_s = time.monotonic()
-    try:
-        with sink.progress("making the gallery", page.nouns[1]) as update:
-            site = page.write(
-                str(out),
-                options.process_count(job.workers),
-                overwrite=job.overwrite,
-                dry_run=job.dry_run,
-                on_progress=update,
-            )
-    except KeyboardInterrupt as error:
-        # The default message says that finished parts are kept; half a gallery is not.
-        raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
+    with sink.progress("making the gallery", page.nouns[1]) as update:
+        site = page.write(
+            str(out),
+            options.process_count(job.workers),
+            overwrite=job.overwrite,
+            dry_run=job.dry_run,
+            on_progress=update,
+        )
     items = with_count(site.items, page.nouns[1])
     content = {"items": site.items, "splits": site.splits}
     sink.table(("split", page.nouns[1]), list(site.splits.items()))

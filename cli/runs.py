@@ -63,7 +63,7 @@ def make_with_progress(
     """
     start_s = time.monotonic()
     rows = skipped = 0
-    with sink.progress(what, unit or kind.nouns) as update:
+    with sink.progress(what, unit or kind.nouns, keeps_parts=True) as update:
 
         def on_progress(progress: store.Progress) -> None:
             nonlocal rows, skipped

@@ -350,7 +350,7 @@ def train(
     if os.environ.get("RANK", "0") != "0":
         sink = output.Sink(quiet=True)
         run.prepare_command(quiet=True)
-    with sink.progress("training", "steps") as update:
+    with sink.progress("training", "steps", keeps_parts=True) as update:
         done = _train(pairs, str(out), settings, train_run, on_progress=update)
     # JSON has no NaN; losses are NaN if no step was left.
     losses = dict.fromkeys(done.losses)

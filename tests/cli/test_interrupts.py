@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from cli.output import Sink
 from tests.realtouch.factories import make_round, single_rows, write_set
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -90,3 +91,16 @@ def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, modu
     )
     assert (done.returncode, done.stdout) == (130, "")
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("keeps_parts", "message"),
+    [(True, "interrupted; finished parts are kept, and the same command continues from them"), (False, "")],
+)
+def test_only_work_that_continues_says_that_parts_are_kept(keeps_parts: bool, message: str):
+    with (
+        pytest.raises(KeyboardInterrupt) as caught,
+        Sink().progress("calibrating", "steps", keeps_parts=keeps_parts),
+    ):
+        raise KeyboardInterrupt
+    assert str(caught.value) == message
