@@ -47,7 +47,7 @@ def calibrate(
         Name of the sensor in manifests and cards.
     start : SensorModel
         First guess of its geometry, which the fit refines. The size of a pixel should be right within a
-        sixth, and the thickness of the gel within a millimetre.
+        sixth, and the thickness of the gel within a millimetre; the aspect ratio of a pixel is kept.
     on_progress : callable, optional
         Called with the number of steps done and the total.
 
@@ -83,7 +83,7 @@ def calibrate(
         report["touches"].insert(touch, _saturated(recordings, touch, unsaturated_shares[touch]))
     shape = fit.shape.copy()
     half_m = fit.half_m(shape)
-    shape[: Fitted.LENS] = 0.0
+    shape[Fitted.SIZE] = 0.0
     twin = Twin(shape, half_m, fit.coefficients.astype(np.float32), fit.background, {}, report)
     twin = replace(twin, reader=train_reader(twin, fit, steps=steps))
     report["residual_levels"] = _residual_levels(twin, fit)

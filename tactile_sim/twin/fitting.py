@@ -20,7 +20,7 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import MOST_LEVEL, frame_gains, unsaturated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from tactile_sim.twin.recordings import Recordings, Relief
     from tactile_toolkit.value_types import Bool, Float32, Float64
@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)
 _OWN = 4
-# Steps of the finite differences for derivatives, and expected deviations from the guess.
-_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004])
-_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 8.0, 0.5, 0.015])
-_POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
-_ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
+# Steps of the finite differences for derivatives by geometry and pose; expected deviations from the guess.
+_STEPS = np.array([0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004, 6e-5, 6e-5, 0.008, 3e-5])
+_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 12.0, 0.5, 0.015])
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of an entry, and of the entries of slopes and of lamps.
@@ -154,11 +152,13 @@ class Fit:
     def refresh_gains(self, least: float = MIN_DRIFT) -> None:
         """Fit the gains of each frame to the background and the rendered changes; below ``least``, none."""
         for touch in range(len(self.poses)):
-            expected = self.behind + self.rendered(touch, self.poses[touch], self.shape)
-            image, _ = self.image(touch)
-            self.gains[touch] *= frame_gains(image, expected, min(self.noise, _NOISE_OF_GAINS))
+            self._refresh_gain(touch, self.rendered(touch, self.poses[touch], self.shape))
         if self.light_drift < least:
             self.gains[:] = 1.0
+
+    def _refresh_gain(self, touch: int, base: Float32) -> None:
+        image, _ = self.image(touch)
+        self.gains[touch] *= frame_gains(image, self.behind + base, min(self.noise, _NOISE_OF_GAINS))
 
     @property
     def light_drift(self) -> float:
@@ -172,7 +172,7 @@ class Fit:
 
     def half_m(self, shape: Float64) -> Float64:
         """Return half the width and half the height of the image, metres."""
-        return np.asarray(self.guess_m * np.exp(shape[: Fitted.LENS]))
+        return np.asarray(self.guess_m * np.exp(shape[Fitted.SIZE]))
 
     def pitch_m(self, shape: Float64) -> Float64:
         """Return the size of a pixel along x and y in the current size of the images, metres."""
@@ -282,23 +282,15 @@ class Fit:
         pressed = self.pressed(touch, self.poses[touch], self.shape)
         seen = self.seen(pressed, self.shape)
         base = self.shown(seen, self.shape)
+        if moving and self.light_drift:  # gains and geometry settle together
+            self._refresh_gain(touch, base)
         residuals, weights = self.residual(touch, base)
         columns = [residuals]
-        unknowns = []
+        unknowns: list[int] = []
         if moving:
-            for index in moving:
-                shape = self.shape.copy()
-                shape[index] += _SHAPE_STEP[index]
-                moved = pressed
-                if index not in gel.OF_THE_VIEW:
-                    moved = self.pressed(touch, self.poses[touch], shape)
-                columns.append((self.shown(self.seen(moved, shape), shape) - base) / _SHAPE_STEP[index])
-                unknowns.append(int(index))
-            for own in range(_OWN):
-                pose = self.poses[touch].copy()
-                pose[own] += _POSE_STEP[own]
-                columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
-                unknowns.append(_SHARED + _OWN * touch + own)
+            columns += self.derivatives(touch, self.poses[touch], pressed, base, moving)
+            own = _SHARED + _OWN * touch
+            unknowns += [*map(int, moving), *range(own, own + _OWN)]
         pitch_m = self.pitch_m(self.shape)
         features = gel.surface_features(seen, pitch_m, self.shape)
         blur_px = self.shape[Fitted.BLUR] / pitch_m
@@ -306,6 +298,40 @@ class Fit:
             features, self.terms, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px
         )
         return _robust_square(residuals, weights)
+
+    def derivatives(
+        self, touch: int, pose: Float64, pressed: Float32, base: Float32, moving: tuple[Fitted, ...] = ()
+    ) -> Iterator[Float32]:
+        """Yield the derivatives (H, W, 3) of a rendered change by some of the geometry, and by the pose.
+
+        ``pressed`` and ``base`` are the surface with its margin, and its rendered change.
+        """
+        carried = dict(enumerate(self._carried(pose, pressed), _SHARED))
+        for unknown in (*map(int, moving), *range(_SHARED, _SHARED + _OWN)):
+            step = np.zeros(len(_STEPS))
+            step[unknown] = _STEPS[unknown]
+            shape = self.shape + step[:_SHARED]
+            moved = pressed
+            if unknown in carried:
+                moved = pressed + np.float32(_STEPS[unknown]) * carried[unknown]
+            elif unknown not in gel.OF_THE_VIEW:
+                moved = self.pressed(touch, pose + step[_SHARED:], shape)
+            yield (self.shown(self.seen(moved, shape), shape) - base) / np.float32(_STEPS[unknown])
+
+    def _carried(self, pose: Float64, pressed: Float32) -> Iterator[Float32]:
+        """Yield the derivatives of a surface with a margin by x, y and turn: the solid carries it along."""
+        pitch_x, pitch_y = self.pitch_m(self.shape).astype(np.float32).tolist()
+        down, across = np.gradient(pressed)
+        across = across / pitch_x
+        up = -down / pitch_y
+        cosine = float(np.cos(pose[2]))
+        sine = float(np.sin(pose[2]))
+        yield cosine * across + sine * up
+        yield cosine * up - sine * across
+        rows, columns = pressed.shape
+        x_m = np.arange(0.5 - columns / 2, columns / 2, dtype=np.float32) * pitch_x
+        y_m = np.arange(rows / 2 - 0.5, -rows / 2, -1, dtype=np.float32) * pitch_y
+        yield y_m[:, None] * across - x_m * up
 
     def rescale(self, scale: float) -> None:
         """Multiply all lengths by a factor, which leaves the rendered images as they are."""
@@ -462,10 +488,6 @@ class _Sums:
         deviation = np.concatenate([fit.shape - fit.shape_guess, (fit.poses - fit.pose_guess).ravel()])
         matrix = matrix + np.diag(variance / expected**2)
         slope = slope - variance / expected**2 * deviation
-        aspect = np.zeros(len(slope))
-        aspect[[Fitted.WIDE, Fitted.HIGH]] = 1.0, -1.0
-        matrix += variance / _ASPECT_SPREAD**2 * np.outer(aspect, aspect)
-        slope -= variance / _ASPECT_SPREAD**2 * (aspect @ deviation) * aspect
         active = np.array([*map(int, moving), *own])
         moved = np.zeros(len(slope))
         moved[active] = np.linalg.solve(matrix[np.ix_(active, active)], slope[active])

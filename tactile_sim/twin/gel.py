@@ -39,8 +39,8 @@ _REACHES_M = np.geomspace(2.5e-4, 6e-3, 10)  # at which the gel is compared with
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
 _FAR_M = 1.0  # below the highest point of a solid, out of reach of the gel
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
-_LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
-_MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
+_LEAST = np.array([-1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
+_MOST = np.array([1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
 
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
@@ -52,8 +52,8 @@ Features: TypeAlias = tuple[Int64, Float32]
 class Fitted(IntEnum):
     """Indices of the values of a geometry in its vector.
 
-    ``WIDE`` and ``HIGH`` are the logarithms of the sides of the image over those of the first guess, ``LENS``
-    is the radial term of the lens, ``GEL`` the thickness of the gel, ``WIDTH`` the greatest width of its blur
+    ``SIZE`` is the logarithm of the sides of the image over those of the first guess, ``LENS`` is the radial
+    term of the lens, ``GEL`` the thickness of the gel, ``WIDTH`` the greatest width of its blur
     and ``LAST`` the last one, metres; ``CONTACT`` is the share of the press depth from which the solid is in
     contact, ``BLUR`` the blur of the camera, metres on the gel, ``CAMERA`` one over the distance of the
     camera from the gel, 1 / metres, and ``RISE`` the share of the volume pressed in by which the gel rises.
@@ -61,17 +61,16 @@ class Fitted(IntEnum):
     any other.
     """
 
-    WIDE = 0
-    HIGH = 1
-    LENS = 2
-    GEL = 3
-    WIDTH = 4
-    LAST = 5
-    CONTACT = 6
-    BLUR = 7
-    CAMERA = 8
-    RISE = 9
-    POISSON = 10
+    SIZE = 0
+    LENS = 1
+    GEL = 2
+    WIDTH = 3
+    LAST = 4
+    CONTACT = 5
+    BLUR = 6
+    CAMERA = 7
+    RISE = 8
+    POISSON = 9
 
 
 OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA)

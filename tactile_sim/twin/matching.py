@@ -42,10 +42,9 @@ _STEPS = 15  # of progress
 _SEEDS = 5  # touches to which the first twin is fitted
 # Unexplained share of the change of an image: at most 0.45 if poses are right, 0.5 if they are off by 1 mm.
 _MAX_UNEXPLAINED = 0.5
-_GEOMETRY_STEPS = 4
+_CHECK_STEPS, _GEOMETRY_STEPS = 2, 4
 _GEOMETRY = (
-    Fitted.WIDE,
-    Fitted.HIGH,
+    Fitted.SIZE,
     Fitted.LENS,
     Fitted.WIDTH,
     Fitted.CONTACT,
@@ -54,7 +53,6 @@ _GEOMETRY = (
 _FIRST_PRESS = 0.9  # press depth that is tried first, as a fraction of the usual one
 _RIDGES = (1.0, 0.3, 0.1)  # of each round: a high ridge extends what few touches show
 _TRIED, _GOOD = 16, 5  # poses of a touch that are refined by two steps, and by more steps
-_DIFFERENCE = np.array([6e-5, 6e-5, 0.008, 3e-5])  # of a pose, by which derivatives are taken
 _MAX_MOVE = np.array([1e-3, 1e-3, 0.1, 4e-4])  # of one step
 _SPREAD = np.array([1.5e-3, 1.5e-3, 0.12, 8e-4])  # expected error of a pose
 _HUBER = 3.0
@@ -97,9 +95,9 @@ class _Refined:
 
 def are_off(fit: Fit) -> Bool:
     """Return which poses (N,) are too far off for a fit to correct: they explain little of their image."""
-    _set_width(fit, _FIT_PX)
+    _set_width(fit, _SEARCH_PX)
     fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
-    for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
+    for moving in ((), *[_GEOMETRY] * _CHECK_STEPS):
         fit.step(moving)
     for touch in range(len(fit.poses)):
         fit.residual(touch)
@@ -113,6 +111,7 @@ def found_poses(fit: Fit, off: Bool, start: SensorModel) -> tuple[Float64, Bool]
     Returns the points under the sensor, turns and press depths of all touches, (N, 4), and which of them are
     likely (N,).
     """
+    _set_width(fit, _FIT_PX)
     fit.used = ~off
     for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
         fit.step(moving)
@@ -325,8 +324,9 @@ def _stepped(
     guess = pose
     best = (np.inf, pose)
     for number in range(steps + 1):
-        base = fit.rendered(touch, pose, fit.shape)[unsaturated]
-        residuals = change - base
+        pressed = fit.pressed(touch, pose, fit.shape)
+        base = fit.shown(fit.seen(pressed, fit.shape), fit.shape)
+        residuals = change - base[unsaturated]
         error = float(np.sqrt(np.mean(residuals * residuals)))
         if error < best[0]:
             best = (error, pose)
@@ -334,10 +334,10 @@ def _stepped(
             break
         if number == steps:
             break
-        derivatives = np.empty((len(_DIFFERENCE), residuals.size))
-        for own, move in enumerate(np.diag(_DIFFERENCE)):
-            moved = fit.rendered(touch, pose + move, fit.shape)[unsaturated]
-            derivatives[own] = ((moved - base) / _DIFFERENCE[own]).ravel()
+        derivatives = np.array(
+            [column[unsaturated].ravel() for column in fit.derivatives(touch, pose, pressed, base)],
+            np.float64,
+        )
         bound = _HUBER * max(error, 1.0)
         weights = np.repeat(1 / np.maximum(1, np.abs(residuals).max(axis=1) / bound), 3)
         variance = 20 * max(error, 1.0) ** 2 / np.square(_SPREAD)

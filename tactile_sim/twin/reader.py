@@ -152,6 +152,8 @@ class _View:
     def __init__(self, twin: Twin, mode: str) -> None:
         self.shrink = max(1, round(twin.size_px[0] / _WIDTHS[mode]))
         self.background = shrunk(twin.background, self.shrink)
+        self._wanders = twin.report.get("light_drift", 0) >= MIN_DRIFT
+        self._noise = twin.report["noise_levels"]
         self.sides = self.background.shape[:2]
         self.pitch_m = 2 * twin.half_m / self.sides[::-1]
         self._shape = twin.shape
@@ -161,22 +163,30 @@ class _View:
         self._positions = np.stack([x, y, x * x, x * y, y * y])
         self._blurs = [gel.gel_blur(np.full(2, share * self.sides[1]), self.sides) for share in _BLURS]
 
-    def change(self, image: Float32) -> Float32:
-        """Return how an image differs from the background, (h, w, 3)."""
-        return shrunk(image, self.shrink) - self.background
+    def _change(self, levels: Float32, shown: Float32 | float = 0.0) -> Float32:
+        """Return how levels differ from the background, (h, w, 3), corrected for a light that wanders.
+
+        ``shown`` is how they are expected to differ from it, apart from their gains.
+        """
+        if self._wanders:
+            gains = frame_gains(levels, self.background + shown, self._noise)
+            levels = (levels / gains).astype(np.float32)
+        return levels - self.background
 
     def slopes_of(self, surface_m: Float32) -> Float32:
         """Return the slopes along x and y upwards, (h, w, 2), of a surface of the gel in full size."""
         down, across = np.gradient(shrunk(surface_m, self.shrink))
         return np.asarray(np.stack([across, -down], axis=-1) / self.pitch_m, np.float32)
 
-    def inputs(self, change: Float32, known: Float32 | None) -> Float32:
-        """Return the inputs of a network, (m, h w), from the slopes that are known so far, (h, w, 2)."""
-        maps = change
-        if known is not None:
+    def inputs(self, levels: Float32, known: Float32 | None) -> Float32:
+        """Return the inputs of a network, (m, h w), from an image and the slopes known so far, (h, w, 2)."""
+        if known is None:
+            maps = self._change(levels)
+        else:
             surface_m = integrated(known * self.pitch_m.astype(np.float32))
             surface_m -= np.float32(np.percentile(surface_m, 90))
             shown = gel.response(surface_m, self.pitch_m, self._shape, self._table, self._terms)
+            change = self._change(levels, shown)
             level_mm = np.float32(1e3) * surface_m[..., None]
             maps = np.concatenate([change, change - shown, known, level_mm], axis=-1)
         count = maps.shape[2]
@@ -189,17 +199,17 @@ class _View:
         return out.reshape(len(out), -1)
 
     def outputs(
-        self, reader: Mapping[str, Float32], number: int, change: Float32, known: Float32 | None
+        self, reader: Mapping[str, Float32], number: int, levels: Float32, known: Float32 | None
     ) -> Float32:
         """Return what a network finds, (h, w, 2): a correction of slopes, or depth and its error."""
-        inputs = np.ascontiguousarray(self.inputs(change, known).T)
+        inputs = np.ascontiguousarray(self.inputs(levels, known).T)
         return network_output(reader, _network(number)[0], inputs).reshape(*self.sides, 2)
 
     def corrected(
-        self, reader: Mapping[str, Float32], number: int, change: Float32, known: Float32 | None
+        self, reader: Mapping[str, Float32], number: int, levels: Float32, known: Float32 | None
     ) -> Float32:
         """Return slopes (h, w, 2) after a network has corrected those that are known so far."""
-        correction = self.outputs(reader, number, change, known)
+        correction = self.outputs(reader, number, levels, known)
         return correction if known is None else known + correction
 
 
@@ -209,13 +219,10 @@ def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading
     readings = []
     for image in in_size_of(twin.size_px, images):
         levels = shrunk(image.astype(np.float32), view.shrink)
-        if twin.report.get("light_drift", 0) >= MIN_DRIFT:
-            levels /= frame_gains(levels, view.background, twin.report["noise_levels"]).astype(np.float32)
-        change = levels - view.background
         known = None
         for number in range(_SLOPE_PASSES):
-            known = view.corrected(twin.reader, number, change, known)
-        readings.append(view.outputs(twin.reader, _SLOPE_PASSES, change, known))
+            known = view.corrected(twin.reader, number, levels, known)
+        readings.append(view.outputs(twin.reader, _SLOPE_PASSES, levels, known))
     depth_mm, log_error = np.moveaxis(np.stack(readings), 3, 0)
     size_px = (images.shape[2], images.shape[1])
     depth_m = np.float32(1e-3) * np.where(depth_mm > _NO_CONTACT_MM, depth_mm, 0)
@@ -264,7 +271,9 @@ def train_reader(twin: Twin, fit: Fit, steps: Steps) -> dict[str, Float32]:
             depth = shrunk(depth_mm, view.shrink)
             pixels = rng.permutation(depth.size)[: count * weight]
             slopes = view.slopes_of(surface_m).reshape(-1, 2)[pixels]
-            samples.append(_Sample(view, view.change(image), pixels, slopes, depth.reshape(-1, 1)[pixels]))
+            samples.append(
+                _Sample(view, shrunk(image, view.shrink), pixels, slopes, depth.reshape(-1, 1)[pixels])
+            )
     reader: dict[str, Float32] = {}
     known: list[Float32 | None] = [None] * len(samples)
     missing = np.concatenate([sample.slopes for sample in samples])
@@ -273,17 +282,17 @@ def train_reader(twin: Twin, fit: Fit, steps: Steps) -> dict[str, Float32]:
         reader |= _trained(number, inputs, missing, _slope_gradient, rng, _SLOPE_STEPS, steps)
         missing -= network_output(reader, _network(number)[0], inputs)
         for at, sample in enumerate(samples):
-            known[at] = sample.view.corrected(reader, number, sample.change, known[at])
+            known[at] = sample.view.corrected(reader, number, sample.levels, known[at])
     inputs = _inputs_of(samples, known)
     depths = np.concatenate([sample.depth_mm for sample in samples])
     return reader | _trained(_SLOPE_PASSES, inputs, depths, _depth_gradient, rng, _DEPTH_STEPS, steps)
 
 
 class _Sample(NamedTuple):
-    """How an image differs from the background, and slopes and depth at some of its pixels."""
+    """An image, and slopes and depth at some of its pixels."""
 
     view: _View
-    change: Float32
+    levels: Float32
     pixels: Int64
     slopes: Float32
     depth_mm: Float32
@@ -294,7 +303,7 @@ def _inputs_of(samples: list[_Sample], known: list[Float32 | None]) -> Float32:
     ends = np.cumsum([len(sample.pixels) for sample in samples])
     out = np.empty((0, 0), np.float32)
     for sample, slopes, end in zip(samples, known, ends.tolist(), strict=True):
-        part = sample.view.inputs(sample.change, slopes)[:, sample.pixels].T
+        part = sample.view.inputs(sample.levels, slopes)[:, sample.pixels].T
         if not out.size:  # in place: parts and the whole would take twice the memory
             out = np.empty((ends[-1], part.shape[1]), np.float32)
         out[end - len(part) : end] = part

@@ -104,8 +104,10 @@ def frame_gains(image: Floating, expected: Floating, noise: float) -> Float64:
     """Return by how much brighter an image is than expected, for each colour, (3,).
 
     Only pixels that agree in all colours count: where a gel is touched, an image is not the expected one.
-    ``noise`` is that of a pixel, in levels.
+    Every fourth pixel is enough. ``noise`` is that of a pixel, in levels.
     """
+    image = image[::2, ::2]
+    expected = expected[::2, ::2]
     gains = np.median((image + 1.0) / (expected + 1.0), axis=(0, 1))
     for times in _TOLERANCES:
         off = np.abs(image - gains * expected).max(axis=-1)

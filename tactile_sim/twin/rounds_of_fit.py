@@ -36,10 +36,7 @@ class _Round(NamedTuple):
 
 _PULLED = tuple(value for value in Fitted if value is not Fitted.POISSON)
 # The blur by the skin of an elastic gel stays: images hardly change with it where it is less than a pixel.
-_ELASTIC = (
-    *(Fitted.WIDE, Fitted.HIGH, Fitted.LENS, Fitted.GEL),
-    *(Fitted.BLUR, Fitted.CAMERA, Fitted.POISSON),
-)
+_ELASTIC = Fitted.SIZE, Fitted.LENS, Fitted.GEL, Fitted.BLUR, Fitted.CAMERA, Fitted.POISSON
 _COARSE_ROUND = _Round(80, 6, tuple(value for value in _PULLED if value is not Fitted.LAST), 1.0)
 # Only elastic gels rise: by 0.4 to 0.9 after the first round, others by -0.1 to 0.1.
 _ELASTIC_RISE = 0.3
@@ -62,9 +59,7 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
-    shape = np.array(
-        [0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0, _RISE, 0.0]
-    )
+    shape = np.array([0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0, _RISE, 0.0])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
@@ -163,20 +158,18 @@ def fit_report(fit: Fit) -> dict[str, Any]:
     """Return the results of a fit as JSON values."""
     half_m = fit.half_m(fit.shape)
     width, height = fit.recordings.size_px
-    pitch_mm = 2e3 * half_m / [width, height]
+    pitch_mm = float(np.sqrt(np.prod(2e3 * half_m / [width, height])))
     shape = {value.name.lower(): float(fit.shape[value]) for value in Fitted}
     gel_values = {"gel_blur_mm": 1e3 * shape["width"], "contact": shape["contact"]}
     if shape["poisson"]:
         gel_values = {"poisson_ratio": shape["poisson"]}
     return {
-        "mm_per_px": float(np.sqrt(pitch_mm[0] * pitch_mm[1])),
-        "mm_per_px_x": float(pitch_mm[0]),
-        "mm_per_px_y": float(pitch_mm[1]),
+        "mm_per_px": pitch_mm,
         "lens_k1": shape["lens"],
         "camera_mm": 1e3 / max(shape["camera"], 0.1),
         "gel_mm": 1e3 * shape["gel"],
         **gel_values,
-        "camera_blur_px": float(fit.shape[Fitted.BLUR] / np.sqrt(pitch_mm[0] * pitch_mm[1] / 1e6)),
+        "camera_blur_px": 1e3 * shape["blur"] / pitch_mm,
         "ridge": fit.ridge,
         "noise_levels": fit.noise,
         "light_drift": fit.light_drift,

@@ -27,8 +27,8 @@ class Twin:
 
     Attributes
     ----------
-    shape : ndarray of float64, shape (11,)
-        Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first two values are 0.
+    shape : ndarray of float64, shape (10,)
+        Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first value is 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.
     coefficients : ndarray of float32, shape (entries, 9, 3)
