@@ -28,8 +28,12 @@ from tactile_toolkit.value_types import Float32, Float64, Int64
 AZIMUTHS = 16
 """Directions of lamps from the middle of the image."""
 
-HEIGHTS = np.array([0.3, 0.6])
-"""Heights of lamps above the gel, over their distance from the middle of the image."""
+HEIGHTS = np.array([0.3, 0.45, 0.6])
+"""Heights of lamps above the gel, over their distance from the middle of the image.
+
+With two of them, the shadow of a lamp between is a mixture of a longer and a shorter one: images of sensors
+with lamps at a third to a half were off by 1.3 times the noise instead of 0.9, and depth by up to 120 um.
+"""
 
 # Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
 _LAMP_VALUES = 4

@@ -89,7 +89,8 @@ def lamps_of(soft: np.ndarray, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = soft.shape
     _, shares = gel.surface_features(soft, np.array([pitch, pitch]), without(SHAPE, Fitted.LENS))
     ring = 1.28 * np.hypot(columns, rows) * pitch / 2
-    turn = np.repeat(2 * np.pi * np.arange(gel_kernels.AZIMUTHS) / gel_kernels.AZIMUTHS, 2)
+    turns = 2 * np.pi * np.arange(gel_kernels.AZIMUTHS) / gel_kernels.AZIMUTHS
+    turn = np.repeat(turns, len(gel_kernels.HEIGHTS))
     height = np.tile(gel_kernels.HEIGHTS, gel_kernels.AZIMUTHS)
     lamps = ring * np.stack([np.cos(turn), np.sin(turn), height], axis=1)
     y, x = np.mgrid[(rows - 1) / 2 : -rows / 2 : -1, -(columns - 1) / 2 : columns / 2] * pitch
