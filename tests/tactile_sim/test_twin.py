@@ -92,9 +92,9 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     change = np.mean([np.abs(fit.image(each)[0] - fit.behind).mean() for each in range(6)])
     before = np.nanmedian(fit.rms)
     assert before < change
-    for _ in range(3):
+    for _ in range(6):
         fit.step(rounds_of_fit._PULLED)
-    assert np.nanmedian(fit.rms) < 0.95 * before
+    assert np.nanmedian(fit.rms) < 0.8 * before
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
 
