@@ -213,7 +213,7 @@ def test_a_sensor_with_near_lamps_an_elastic_gel_and_a_near_camera_is_met():
     """Shadows, the rise of the gel and the distance of the camera are part of the fit."""
     made, model = score(draw_third(101), held_out=4)
     assert made.image_error <= 1.3
-    assert made.depth_um <= 35
+    assert made.depth_um <= 45
     assert made.pitch_error <= 0.007
     assert made.placed >= 0.9
     assert 30 < model.report["camera_mm"] < 50
