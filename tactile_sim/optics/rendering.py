@@ -38,15 +38,22 @@ def require_images(images: AnyArray, name: str) -> None:
         )
 
 
-def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
-    """Scale images (n, H, W, 3) to the size of a sensor's; InputError for other arrays or proportions."""
-    require_images(images, "images")
-    (wide, high), (height, width) = size_px, images.shape[1:3]
+def require_proportions(size_px: tuple[int, ...], sensor_px: tuple[int, int], next_step: str) -> None:
+    """Raise InputError unless images of a size, width and height, have the proportions of a sensor's."""
+    (width, height), (wide, high) = size_px, sensor_px
     if abs(height - width * high / wide) > 1 and abs(width - height * wide / high) > 1:
         raise InputError(
             f"images have {width} x {height} pixels; expected the proportions of the sensor, {wide} x {high}",
-            next="give whole images, as the camera took them for the calibration",
+            next=next_step,
         )
+
+
+def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
+    """Scale images (n, H, W, 3) to the size of a sensor's; InputError for other arrays or proportions."""
+    require_images(images, "images")
+    require_proportions(
+        images.shape[2:0:-1], size_px, "give whole images, as the camera took them for the calibration"
+    )
     return scaled(images, size_px)
 
 

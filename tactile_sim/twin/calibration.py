@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_sim.optics.rendering import require_proportions
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps
@@ -47,7 +48,7 @@ def calibrate(
         Name of the sensor in manifests and cards.
     start : SensorModel
         First guess of its geometry, which the fit refines. The size of a pixel should be right within a
-        sixth, and the thickness of the gel within a millimetre; the aspect ratio of a pixel is kept.
+        sixth, and the thickness of the gel within a millimetre; the proportions of the image are kept.
     on_progress : callable, optional
         Called with the number of steps done and the total.
 
@@ -59,14 +60,20 @@ def calibrate(
     Raises
     ------
     InputError
-        :func:`find_mistakes` finds a fatal mistake, fewer than 5 touches can be used, or the solids explain
-        little of the images.
+        The images have other proportions than those of ``start``, :func:`find_mistakes` finds a fatal
+        mistake, fewer than 5 touches can be used, or the solids explain little of the images.
 
     Notes
     -----
     The fit and the networks of the reader use BLAS: on another processor, the twin may differ in the last
     bits. A given twin renders the same bytes on one kind of processor.
     """
+    # Else pixels would be stretched: the fit keeps their aspect ratio.
+    require_proportions(
+        recordings.size_px,
+        (start.width_px, start.height_px),
+        "state the sides of what the images show and their pixels: --start FILE.json",
+    )
     mistakes = find_mistakes(recordings, start)
     fatal = [mistake for mistake in mistakes if mistake.is_fatal]
     if fatal:

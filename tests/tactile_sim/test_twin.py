@@ -494,6 +494,15 @@ def test_rendering_leaves_pixels_at_rest_alone():
     assert (gel.response(soft, twin.pitch_m, twin.shape, table, terms)[:, 50:] == 0).all()
 
 
+def test_images_of_other_proportions_than_the_guess_are_refused(six_touches):
+    """A part of the image, or an uneven scale, would stretch pixels without a word."""
+    cut = dataclasses.replace(
+        six_touches, images=six_touches.images[:, 6:42], backgrounds=six_touches.backgrounds[:, 6:42]
+    )
+    with pytest.raises(InputError, match="64 x 36 pixels; expected the proportions of the sensor, 320 x 240"):
+        tactile_sim.calibrate(cut)
+
+
 def test_wrong_recordings_are_refused():
     """Arrays of other shapes, unknown solids and infinite poses are named."""
     images, solids = np.zeros((2, 48, 64, 3), np.uint8), {0: ball(subdivisions=2)}
