@@ -17,7 +17,7 @@ import scipy
 
 from tactile_sim.twin import gel, gel_kernels, view_kernels
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.recordings import MOST_LEVEL, frame_gains, unsaturated
+from tactile_sim.twin.recordings import MOST_LEVEL, frame_gains, shrunk, unsaturated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from tactile_sim.twin.recordings import Recordings, Relief
     from tactile_toolkit.value_types import Bool, Float32, Float64
 
-COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives by geometry and pose; expected deviations from the guess.
-_STEPS = np.array([0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004, 6e-5, 6e-5, 0.008, 3e-5])
-_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 12.0, 0.5, 0.015])
+_STEPS = np.array(
+    [0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004, 0.04, 0.02, 6e-5, 6e-5, 0.008, 3e-5]
+)
+_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 12.0, 0.5, 0.015, 0.3, 0.15])
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of an entry, and of the entries of slopes and of lamps.
@@ -39,6 +40,7 @@ _ENTRY_COST, _LAMP_COST = 1e-4, 1e-3
 _LEVEL_COST = 30.0  # of a response where the gel is level, which would end abruptly there
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
+_GLARE = 0.03  # standard deviation over which saturated light at rest is smooth, of the width
 _NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
 MIN_DRIFT = 0.01
 """Root mean square of the gains of frames, less 1, below which all of them count as 1."""
@@ -66,9 +68,8 @@ def _penalty() -> Float64:
     steep = np.vstack([np.diff(steps, 3, axis=0), _LEVEL_COST * steps[:1]])
     slopes = np.kron(around.T @ around, steps)
     slopes += np.kron(directions, steep.T @ steep + _ENTRY_COST * steps)
-    lamps = _LAMP_COST * np.eye(gel_kernels.ENTRIES - gel_kernels.SLOPES)
-    cost = scipy.linalg.block_diag(slopes, lamps)
-    return np.asarray(np.kron(cost, np.diag(_TERM_COST)))
+    lamps = _LAMP_COST * np.eye(gel_kernels.LAMPS)
+    return np.asarray(scipy.linalg.block_diag(np.kron(slopes, np.diag(_TERM_COST)), lamps))
 
 
 @dataclass(slots=True)
@@ -106,9 +107,7 @@ class Fit:
     spread: Float64
     background: Float32 = field(repr=False)
     ridge: float = 0.1
-    coefficients: Float64 = field(
-        default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3)), repr=False
-    )
+    coefficients: Float64 = field(default_factory=lambda: np.zeros((gel_kernels.COEFFICIENTS, 3)), repr=False)
     off: Bool = field(init=False)
     likely: Bool = field(init=False)
     used: Bool = field(init=False)
@@ -365,8 +364,13 @@ class Fit:
             weight = mask[..., None] / (1 + far * far)
             total += weight * (image - base)
             share += weight
-        mean = (total / share).astype(np.float32)
-        self.background = np.where(is_least, np.maximum(mean, self.at_rest), mean)
+        smooth_total, smooth_share = (
+            np.where(is_least, values, 0).astype(np.float32) for values in (total, share)
+        )
+        for values in (smooth_total, smooth_share):
+            gel.blur_colours(values, np.full(2, _GLARE * self.size[1]))
+        bright = np.maximum(smooth_total / np.maximum(smooth_share, 1e-12), self.at_rest)
+        self.background = np.where(is_least, bright, total / share).astype(np.float32)
         self.behind = self.background
         self.terms = gel.position_terms(self.behind)
 
@@ -390,7 +394,7 @@ class Fit:
         for ridge in RIDGES:
             cost = ridge * train.scale * self.penalty
             factor = scipy.linalg.cho_factor(train.normal + cost, lower=True, check_finite=False)
-            right = train.products[:, 0] - cost @ before.reshape(COEFFICIENTS, 3)
+            right = train.products[:, 0] - cost @ before
             change = scipy.linalg.cho_solve(factor, right, check_finite=False)
             errors.append(
                 np.sum(change * (held_out.full() @ change)) - 2 * np.sum(change * held_out.products[:, 0])
@@ -398,7 +402,7 @@ class Fit:
             changes.append(change)
         best = int(np.argmin(errors))
         self.ridge = RIDGES[best]
-        self.coefficients = before + changes[best].reshape(before.shape)
+        self.coefficients = before + changes[best]
         self.explained = float(np.median([self.explained_share(touch) for touch in used[is_held_out]]))
         self.coefficients = before
 
@@ -413,8 +417,8 @@ class _Sums:
 
     def __init__(self, count: int) -> None:
         many = _SHARED + _OWN * count
-        self.normal = np.zeros((COEFFICIENTS, COEFFICIENTS))
-        self.products = np.zeros((COEFFICIENTS, 1 + many, 3))
+        self.normal = np.zeros((gel_kernels.COEFFICIENTS, gel_kernels.COEFFICIENTS))
+        self.products = np.zeros((gel_kernels.COEFFICIENTS, 1 + many, 3))
         self.moves = np.zeros((many, many))
         self.slope = np.zeros(many)
         self.weight = 0.0
@@ -440,13 +444,13 @@ class _Sums:
         """Add a touch: ``columns`` (H, W, 1 + m, 3) are the residuals and derivatives by ``unknowns``."""
         height, width, many, _ = columns.shape
         gel_kernels.add_normal(self.normal, *features, terms, weights)
-        products = np.zeros((COEFFICIENTS, many * 3))
+        products = np.zeros((gel_kernels.COEFFICIENTS, many * 3))
         # The blur of the camera is its own transpose.
         weighed = columns.reshape(height, width, -1) * weights[..., None]
         gel.blur_colours(weighed, blur_px)
         gel_kernels.add_products(products, *features, terms, weighed)
         at = np.array([0, *(1 + unknown for unknown in unknowns)])
-        self.products[:, at] += products.reshape(COEFFICIENTS, many, 3)
+        self.products[:, at] += products.reshape(gel_kernels.COEFFICIENTS, many, 3)
         self.weight += float(weights.sum())
         if unknowns:
             flat = columns.reshape(-1, many, 3).transpose(1, 0, 2).reshape(many, -1)
@@ -457,13 +461,12 @@ class _Sums:
     def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
         """Update the response of a fit, and return the moves of its geometry and poses."""
         penalty = fit.ridge * self.scale * fit.penalty
-        before = fit.coefficients.reshape(COEFFICIENTS, 3)
         factor = scipy.linalg.cho_factor(self.normal + penalty, lower=True, check_finite=False)
         right = self.products
-        right[:, 0] -= penalty @ before
-        solved = scipy.linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(
-            right.shape
-        )
+        right[:, 0] -= penalty @ fit.coefficients
+        solved = scipy.linalg.cho_solve(
+            factor, right.reshape(gel_kernels.COEFFICIENTS, -1), check_finite=False
+        ).reshape(right.shape)
         moved = np.zeros(len(self.slope))
         if moving:
             flat = right[:, 1:].transpose(1, 0, 2).reshape(len(moved), -1)
@@ -474,7 +477,7 @@ class _Sums:
         # Images are not linear in the geometry: no part of it moves by more than its expected spread.
         moved /= max(float(np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()), 1.0)
         change = solved[:, 0] - np.einsum("cmk,m->ck", solved[:, 1:], moved)
-        fit.coefficients = (before + change).reshape(fit.coefficients.shape)
+        fit.coefficients = fit.coefficients + change
         return moved
 
     def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Fitted, ...]) -> Float64:
@@ -497,12 +500,3 @@ class _Sums:
 def _robust_square(residuals: Float32, weights: Float32) -> float:
     # Of Geman and McClure, whose weights are the squares of these.
     return float(np.sum(np.sqrt(weights)[..., None] * residuals * residuals, dtype=np.float64))
-
-
-def shrunk(image: Float32, factor: int) -> Float32:
-    """Return an image (H, W) or (H, W, k), smaller by a factor: means over blocks of pixels."""
-    if factor == 1:
-        return image
-    height, width = (side // factor for side in image.shape[:2])
-    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
-    return np.asarray(blocks.mean(axis=(1, 3)), np.float32).reshape(height, width, *image.shape[2:])

@@ -34,19 +34,18 @@ _CAMERA_REACH = 3.0
 _MARGIN = 0.12  # of the width of an image
 _SMOOTH = 0.02  # standard deviation by which colours at rest are blurred, of the width
 _LIGHT_PX = 100  # width of the maps of light; the penumbra is about as wide as their pixels
-_RING = 1.28  # distance of lamps from the middle, in halves of the diagonal: 15 mm for a GelSight Mini
 _REACHES_M = np.geomspace(2.5e-4, 6e-3, 10)  # at which the gel is compared with a pixel
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
 _FAR_M = 1.0  # below the highest point of a solid, out of reach of the gel
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
-_LEAST = np.array([-1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0])
-_MOST = np.array([1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499])
+_LEAST = np.array([-1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0, 1.05, 0.05])
+_MOST = np.array([1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499, 2.5, 1.5])
 
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
 
 Features: TypeAlias = tuple[Int64, Float32]
-"""Entries of the response that each pixel depends on, and their shares."""
+"""Entries of the response that each pixel depends on, by their first coefficients, and their shares."""
 
 
 class Fitted(IntEnum):
@@ -58,7 +57,8 @@ class Fitted(IntEnum):
     contact, ``BLUR`` the blur of the camera, metres on the gel, ``CAMERA`` one over the distance of the
     camera from the gel, 1 / metres, and ``RISE`` the share of the volume pressed in by which the gel rises.
     ``POISSON`` is Poisson's ratio of an elastic gel, of which width, contact and rise mean nothing, and 0 of
-    any other.
+    any other. ``LAMP_DISTANCE`` is the distance of lamps from the middle of the image, in halves of its
+    diagonal, and ``LAMP_HEIGHT`` the height of the middle ones above the gel, over this distance.
     """
 
     SIZE = 0
@@ -71,9 +71,11 @@ class Fitted(IntEnum):
     CAMERA = 7
     RISE = 8
     POISSON = 9
+    LAMP_DISTANCE = 10
+    LAMP_HEIGHT = 11
 
 
-OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA)
+OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA, Fitted.LAMP_DISTANCE, Fitted.LAMP_HEIGHT)
 """Values that change how a gel is seen, and not how it is pressed."""
 
 
@@ -248,12 +250,16 @@ def view_of(
     across = _across_of(pitch_m, size, span)
     lens, camera = shape[[Fitted.LENS, Fitted.CAMERA]].tolist()
     half_x, half_y = size[1] * pitch_x / (2 * span_x), size[0] * pitch_y / (2 * span_y)
-    ring_m = _RING * float(np.hypot(half_x, half_y))
-    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, ring_m)
+    ring_m = float(shape[Fitted.LAMP_DISTANCE] * np.hypot(half_x, half_y))
+    lamp_m = float(shape[Fitted.LAMP_HEIGHT]) * ring_m
+    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, ring_m, lamp_m)
 
 
 def surface_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Features:
-    """Return the entries of the response that each pixel of a surface depends on, and their shares."""
+    """Return the entries of the response that each pixel of a surface depends on, and their shares.
+
+    An entry is the index of its first coefficient.
+    """
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
     light, scale = _lamp_light(soft, pitch_m, shape)
@@ -294,9 +300,11 @@ def _lamp_light(
 
 
 def response_table(coefficients: Floating) -> Float32:
-    """Return coefficients (ENTRIES, TERMS, 3) in the layout of :func:`response`."""
-    table = np.zeros((len(coefficients), gel_kernels.TERMS, 4), np.float32)
-    table[..., :3] = coefficients
+    """Return coefficients (COEFFICIENTS, 3) in the layout of :func:`response`."""
+    table = np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 4), np.float32)
+    slopes, lamps = np.split(coefficients, [-gel_kernels.LAMPS])
+    table[: gel_kernels.SLOPES, :, :3] = slopes.reshape(-1, gel_kernels.TERMS, 3)
+    table[gel_kernels.SLOPES :, 0, :3] = lamps
     return table.reshape(len(table), -1)
 
 

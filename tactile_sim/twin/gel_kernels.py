@@ -28,12 +28,15 @@ from tactile_toolkit.value_types import Float32, Float64, Int64
 AZIMUTHS = 16
 """Directions of lamps from the middle of the image."""
 
-HEIGHTS = np.array([0.3, 0.45, 0.6])
-"""Heights of lamps above the gel, over their distance from the middle of the image.
+HEIGHTS = np.array([0.6, 1.0, 1.5])
+"""Heights of lamps above the gel, over that of the middle ones, which is fitted.
 
-With two of them, the shadow of a lamp between is a mixture of a longer and a shorter one: images of sensors
-with lamps at a third to a half were off by 1.3 times the noise instead of 0.9, and depth by up to 120 um.
+With two of them, the shadow of a lamp between is a mixture of a longer and a shorter one: images were off by
+1.3 times the noise instead of 0.9, and depth by up to 120 um. With lamps too high for those of a sensor,
+depth was off by 0.4 mm.
 """
+
+LAMPS = AZIMUTHS * len(HEIGHTS)
 
 # Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
 _LAMP_VALUES = 4
@@ -51,15 +54,18 @@ COLOURS = 6
 """The first of the terms of the colours at rest."""
 
 SLOPES = TURNS * STEPS
-ENTRIES = SLOPES + AZIMUTHS * len(HEIGHTS)
+ENTRIES = SLOPES + LAMPS
 """Number of entries: those of slopes, by direction, and of lamps, by direction, which have one term."""
+
+COEFFICIENTS = SLOPES * TERMS + LAMPS
+"""Number of the terms of all entries."""
 
 ENTRY_VALUES = 4 * TERMS
 """Values of an entry in :func:`render_response`: three colours and a zero for each term."""
 
 _LINE_VALUES = 24
 _SLOPED = 4
-ACTIVE = _SLOPED + AZIMUTHS * len(HEIGHTS)
+ACTIVE = _SLOPED + LAMPS
 """Number of entries that a pixel may depend on: four of slopes, and all lamps."""
 
 
@@ -137,12 +143,12 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
     ahead = _horizons(soft, view, reaches)
     ring = np.float32(view.ring)
     unit, zero = np.float32(1.0), np.float32(0.0)
-    out = np.empty((rows, columns, ENTRIES - SLOPES, _LAMP_VALUES), np.float32)
+    out = np.empty((rows, columns, LAMPS, _LAMP_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)
     to = np.empty((5, columns), np.float32)
     turned = np.empty(columns, np.float32)
     # By lamp, several pixels are computed at once.
-    values = np.empty((ENTRIES - SLOPES, _LAMP_VALUES, columns), np.float32)
+    values = np.empty((LAMPS, _LAMP_VALUES, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
         for column in range(columns):
@@ -154,7 +160,7 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
             up = ring * _TOWARDS[azimuth, 1] - y
             _look_at(to, ahead, row, ring * _TOWARDS[azimuth, 0], up, view)
             for height in range(len(HEIGHTS)):
-                lamp_z = ring * np.float32(HEIGHTS[height])
+                lamp_z = np.float32(HEIGHTS[height] * view.lamp)
                 lamp = values[azimuth * len(HEIGHTS) + height]
                 for column in range(columns):
                     z = lamp_z + line[column]
@@ -197,6 +203,8 @@ def features(
 ) -> None:
     """Write the entries that each pixel depends on, and their shares: 0 where the gel is at rest.
 
+    Entries are the indices of their first coefficients.
+
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
     pressed in; ``light`` its :func:`lamp_light` on a map that is smaller by ``scale``. ``entries`` and
     ``shares`` have the shape (H W, ACTIVE).
@@ -217,18 +225,18 @@ def features(
             for side in range(2):
                 share = part if side else 1.0 - part
                 share = share if turn >= 0.0 else 0.0
-                entries[at, 2 * side] = ((first + side) % TURNS) * STEPS + node
-                entries[at, 2 * side + 1] = entries[at, 2 * side] + 1
+                entries[at, 2 * side] = TERMS * (((first + side) % TURNS) * STEPS + node)
+                entries[at, 2 * side + 1] = entries[at, 2 * side] + TERMS
                 shares[at, 2 * side] = share * (1.0 - far)
                 shares[at, 2 * side + 1] = share * far
             y, x = (row + 0.5) * scale - 0.5, (column + 0.5) * scale - 0.5
             _interpolated(values, lamps, y, x)
             slope_x, slope_y = positions[2, column], positions[3, column]
             turned = np.float32(1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y))
-            for lamp in range(ENTRIES - SLOPES):
+            for lamp in range(LAMPS):
                 k = _LAMP_VALUES * lamp
                 whole = turned * (slope_x * values[k] + slope_y * values[k + 1] + values[k + 2])
-                entries[at, _SLOPED + lamp] = SLOPES + lamp
+                entries[at, _SLOPED + lamp] = SLOPES * TERMS + lamp
                 shares[at, _SLOPED + lamp] = whole + values[k + 3]
 
 
@@ -256,7 +264,7 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, terms: Float32,
                 continue
             for term in range(TERMS if number < _SLOPED else 1):
                 values[count] = shares[at, k] * here[term]
-                unknowns[count] = entries[at, k] * TERMS + term
+                unknowns[count] = entries[at, k] + term
                 count += 1
         for row in range(count):
             weighed = values[row] * weight
@@ -277,7 +285,7 @@ def add_products(out: Float64, entries: Int64, shares: Float32, terms: Float32, 
                 continue
             for term in range(TERMS if k < _SLOPED else 1):
                 share = shares[at, k] * here[term]
-                total = out[entries[at, k] * TERMS + term]
+                total = out[entries[at, k] + term]
                 for column in range(many):
                     total[column] += share * line[column]
 

@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
-from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief
-from tactile_toolkit.value_types import Bool, Float64, Int64, UInt8
+from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief, shrunk
+from tactile_toolkit.value_types import Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.wording import with_count
 
 MIN_TOUCHES = 5
@@ -108,11 +108,13 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     if count < MIN_TOUCHES:
         detail = f"{with_count(count, 'touches')}; expected at least {MIN_TOUCHES}, better 20"
         mistakes.append(Mistake("too-few", detail, float(count)))
-    images = _small(recordings.images)
-    at_rest = _gel_at_rest(recordings, images)
+    gel_at_rest = recordings.gel_at_rest()
+    factor = max(1, recordings.size_px[0] // _WIDTH_PX)
+    images = np.stack([shrunk(image, factor) for image in recordings.images], dtype=np.float32)
+    at_rest = shrunk(gel_at_rest, factor)
     for check in (_saturated, _channels, _changed_gel):
         mistakes += check(recordings, images, at_rest)
-    mistakes += _markers(recordings)
+    mistakes += _markers(gel_at_rest)
     change = np.abs(images - at_rest).max(axis=3)
     shares = (change > _CHANGED).mean(axis=(1, 2))
     touching = shares >= _MIN_CHANGED
@@ -129,24 +131,7 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     return mistakes
 
 
-def _small(images: UInt8) -> Float64:
-    """Return smaller images, at least :data:`_WIDTH_PX` wide if the given ones are: means over blocks."""
-    factor = max(1, images.shape[2] // _WIDTH_PX)
-    rows = images.shape[1] // factor
-    columns = images.shape[2] // factor
-    cut = images[:, : rows * factor, : columns * factor]
-    blocks = cut.reshape(len(images), rows, factor, columns, factor, 3)
-    return np.asarray(blocks.mean(axis=(2, 4)), np.float64)
-
-
-def _gel_at_rest(recordings: Recordings, images: Float64) -> Float64:
-    """Return the gel at rest, (h, w, 3): mean of the images without contact, or median of the touches."""
-    if recordings.backgrounds.size:
-        return np.asarray(_small(recordings.backgrounds).mean(axis=0))
-    return np.asarray(np.median(images, axis=0))
-
-
-def _saturated(recordings: Recordings, images: Float64, at_rest: Float64) -> Iterator[Mistake]:
+def _saturated(recordings: Recordings, images: Float32, at_rest: Float32) -> Iterator[Mistake]:
     shares = np.array([(image >= _SATURATED_LEVEL).mean() for image in recordings.images])
     if np.median(shares) > _MAX_SATURATED:
         yield Mistake(
@@ -158,7 +143,7 @@ def _saturated(recordings: Recordings, images: Float64, at_rest: Float64) -> Ite
         )
 
 
-def _channels(recordings: Recordings, images: Float64, at_rest: Float64) -> Iterator[Mistake]:
+def _channels(recordings: Recordings, images: Float32, at_rest: Float32) -> Iterator[Mistake]:
     """Compare the gel at rest with the median of the touches, in all orders of the channels."""
     usual = images
     if not recordings.backgrounds.size:
@@ -180,7 +165,7 @@ def _channels(recordings: Recordings, images: Float64, at_rest: Float64) -> Iter
         )
 
 
-def _changed_gel(recordings: Recordings, images: Float64, at_rest: Float64) -> Iterator[Mistake]:
+def _changed_gel(recordings: Recordings, images: Float32, at_rest: Float32) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
     usable = np.flatnonzero(recordings.unsaturated_shares() >= MIN_UNSATURATED)
     images = images[usable]
@@ -204,18 +189,17 @@ def _changed_gel(recordings: Recordings, images: Float64, at_rest: Float64) -> I
         )
 
 
-def _drift(images: Float64, part: Bool) -> float:
+def _drift(images: Float32, part: Bool) -> float:
     """Return by how many levels most of the gel at rest differs between some images and the others."""
     within = np.median(images[part], axis=0)
     without = np.median(images[~part], axis=0)
     return float(np.median(np.abs(within - without).mean(axis=2)))
 
 
-def _markers(recordings: Recordings) -> Iterator[Mistake]:
+def _markers(gel_at_rest: Float32) -> Iterator[Mistake]:
     """Find small dark dots in the gel at rest."""
-    plain = recordings.backgrounds if recordings.backgrounds.size else recordings.images
-    grey = np.median(plain.mean(axis=3), axis=0)
-    scale = plain.shape[2] / 320
+    grey = gel_at_rest.mean(axis=2)
+    scale = grey.shape[1] / 320
     fine, wide = (scipy.ndimage.gaussian_filter(grey, sigma * scale) for sigma in (1.0, _MARKER_PX))
     share = float((fine - wide < -_MARKER_LEVELS).mean())
     if share > _MAX_MARKERS:
@@ -283,7 +267,7 @@ def _heights(recordings: Recordings, compare: _Comparison, start: SensorModel) -
 class _Comparison:
     """Compares the slopes of solids in their poses with the change of images (n, h, w)."""
 
-    def __init__(self, recordings: Recordings, change: Float64, touches: Int64, start: SensorModel) -> None:
+    def __init__(self, recordings: Recordings, change: Float32, touches: Int64, start: SensorModel) -> None:
         self.touches = touches
         self.reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
         self.size = change.shape[1:]
@@ -347,7 +331,7 @@ class _Comparison:
         return np.asarray(_centred(np.hypot(down, right)[None])[0])
 
 
-def _blurred(images: Float64, sigma_px: float) -> Float64:
+def _blurred(images: Floating, sigma_px: float) -> Float64:
     smooth: Float64 = scipy.ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
     return smooth
 

@@ -16,7 +16,8 @@ import numpy as np
 import scipy
 
 from tactile_sim.twin import gel
-from tactile_sim.twin.fitting import Fit, shrunk
+from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.recordings import shrunk
 from tactile_toolkit.value_types import Bool, Float32, Float64
 
 TURNS = 72

@@ -18,8 +18,8 @@ import scipy
 from tactile_sim.optics.rendering import in_size_of
 from tactile_sim.press.sensors import DepthReading
 from tactile_sim.twin import gel, surface_kernels
-from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps, shrunk
-from tactile_sim.twin.recordings import Relief, frame_gains
+from tactile_sim.twin.fitting import MIN_DRIFT, Fit, Steps
+from tactile_sim.twin.recordings import Relief, frame_gains, shrunk
 from tactile_sim.twin.twin import Twin, resized_depth
 from tactile_toolkit.value_types import Float32, Float64, Int64, UInt8
 

@@ -100,6 +100,15 @@ def unsaturated(image: UInt8 | Float32) -> Bool:
     return np.asarray(((image > _LEAST_LEVEL) & (image <= MOST_LEVEL)).all(axis=-1))
 
 
+def shrunk(image: UInt8 | Float32, factor: int) -> Float32:
+    """Return an image (H, W) or (H, W, k), smaller by a factor: means over blocks of pixels."""
+    if factor == 1:
+        return np.asarray(image, np.float32)
+    height, width = (side // factor for side in image.shape[:2])
+    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+    return np.asarray(blocks.mean(axis=(1, 3)), np.float32).reshape(height, width, *image.shape[2:])
+
+
 def frame_gains(image: Floating, expected: Floating, noise: float) -> Float64:
     """Return by how much brighter an image is than expected, for each colour, (3,).
 
@@ -218,6 +227,14 @@ class Recordings:
         names = tuple(self.names[touch] for touch in touches)
         sensor_m = None if self.sensor_m is None else self.sensor_m[touches]
         return replace(self, **own, names=names, sensor_m=sensor_m)
+
+    def gel_at_rest(self) -> Float32:
+        """Return the mean of the images without contact, or the median of the touches, (H, W, 3), levels."""
+        if self.backgrounds.size:
+            return np.asarray(self.backgrounds.mean(axis=0), np.float32)
+        # A row at a time: a copy of all images would double the memory.
+        rows = [np.median(self.images[:, row], axis=0) for row in range(self.images.shape[1])]
+        return np.asarray(rows, np.float32)
 
     def without_heights(self) -> Recordings:
         """Return the touches without the heights of the sensor, which a fit then finds."""

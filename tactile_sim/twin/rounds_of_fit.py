@@ -8,16 +8,18 @@ import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin.fitting import FIRST_DRIFT, Fit, Steps
-from tactile_sim.twin.gel import Fitted
+from tactile_sim.twin.gel import OF_THE_VIEW, Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES
 from tactile_sim.twin.recordings import Recordings, Relief
-from tactile_toolkit.value_types import Float32, Float64
+from tactile_toolkit.value_types import Float64
 
 # First guesses, close to Taxim's calibration of the GelSight Mini.
 _WIDTH_M = 9e-4
 _LAST_M = 6e-5
 _CONTACT = 0.6
 _BLUR_M = 6e-5
+_LAMP_DISTANCE = 1.28  # 15 mm for a GelSight Mini
+_LAMP_HEIGHT = 0.3
 _RISE = 0.15  # between that of gels that are pulled down, and that of elastic ones, 0.5 to 0.8
 # Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
@@ -36,7 +38,7 @@ class _Round(NamedTuple):
 
 _PULLED = tuple(value for value in Fitted if value is not Fitted.POISSON)
 # The blur by the skin of an elastic gel stays: images hardly change with it where it is less than a pixel.
-_ELASTIC = Fitted.SIZE, Fitted.LENS, Fitted.GEL, Fitted.BLUR, Fitted.CAMERA, Fitted.POISSON
+_ELASTIC = (Fitted.SIZE, Fitted.GEL, Fitted.POISSON, *OF_THE_VIEW)
 _COARSE_ROUND = _Round(80, 6, tuple(value for value in _PULLED if value is not Fitted.LAST), 1.0)
 # Only elastic gels rise: by 0.4 to 0.9 after the first round, others by -0.1 to 0.1.
 _ELASTIC_RISE = 0.3
@@ -59,7 +61,8 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
-    shape = np.array([0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M, 0.0, _RISE, 0.0])
+    of_gel = (start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT)
+    shape = np.array([0.0, 0.0, *of_gel, _BLUR_M, 0.0, _RISE, 0.0, _LAMP_DISTANCE, _LAMP_HEIGHT])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
@@ -67,7 +70,7 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     known = np.zeros(count)
     if level_m is not None:
         known = level_m.copy()
-    fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
+    fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, recordings.gel_at_rest())
     missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
     spread[missing, 3] = _UNKNOWN_PRESS_M
     if level_m is None:  # poses were found by matching
@@ -75,15 +78,6 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     for touch in np.flatnonzero(missing).tolist():
         fit.set_press(touch, start.gel_mm / 1e3 - start.press_m)
     return fit
-
-
-def first_background(recordings: Recordings) -> Float32:
-    """Return the mean of the images without contact, or the median of the touches."""
-    if recordings.backgrounds.size:
-        return np.asarray(recordings.backgrounds.mean(axis=0), np.float32)
-    # A row at a time: a copy of all images would double the memory.
-    rows = [np.median(recordings.images[:, row], axis=0) for row in range(recordings.images.shape[1])]
-    return np.asarray(rows, np.float32)
 
 
 def run_coarse(fit: Fit, steps: Steps) -> float:

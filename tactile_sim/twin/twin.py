@@ -27,11 +27,11 @@ class Twin:
 
     Attributes
     ----------
-    shape : ndarray of float64, shape (10,)
+    shape : ndarray of float64, shape (12,)
         Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first value is 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.
-    coefficients : ndarray of float32, shape (entries, 9, 3)
+    coefficients : ndarray of float32, shape (coefficients, 3)
         Response to slopes and lamps, levels.
     background : ndarray of float32, shape (H, W, 3)
         Image without contact, levels.

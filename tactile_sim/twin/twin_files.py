@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.value_types import AnyArray
 
 SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
-_FORMAT, _VERSION = "tactile-sim sensor", 6
+_FORMAT, _VERSION = "tactile-sim sensor", 7
 _MAX_BYTES = 1 << 22
 _MAX_PIXELS = 1280 * 1280
 _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels")
@@ -108,7 +108,7 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
     expected: dict[str, tuple[Any, tuple[int, ...]]] = {
         "shape": (np.float64, (len(gel.Fitted),)),
         "half_m": (np.float64, (2,)),
-        "coefficients": (np.float32, (gel_kernels.ENTRIES, gel_kernels.TERMS, 3)),
+        "coefficients": (np.float32, (gel_kernels.COEFFICIENTS, 3)),
         "background": (np.float32, (*background.shape[:2], 3)),
         **{f"reader_{name}": (np.float32, shape) for name, shape in reader_shapes().items()},
     }

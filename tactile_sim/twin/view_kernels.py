@@ -30,7 +30,8 @@ class SurfaceView(NamedTuple):
 
     The fields are the size of a pixel, metres; the share of the image that is shown, along x and y; the
     radial term of the lens; the squared width of the image over its squared diagonal; one over the distance
-    of the camera, 1 / metres; and the distance of lamps from the middle, metres.
+    of the camera, 1 / metres; the distance of lamps from the middle, and the height of the middle ones,
+    metres.
     """
 
     pitch_x: float
@@ -41,6 +42,7 @@ class SurfaceView(NamedTuple):
     across: float
     camera: float
     ring: float
+    lamp: float
 
 
 @part

@@ -12,13 +12,13 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.twin import Twin
 
 HALF_M = np.array([0.00944, 0.00708])
-SHAPE = np.array([0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4, 0.0, 0.2, 0.0])
+SHAPE = np.array([0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4, 0.0, 0.2, 0.0, 1.28, 0.4])
 
 
 def made_up_twin(seed: int = 0) -> Twin:
     """Return a twin of images of 64 x 48 pixels."""
     rng = np.random.default_rng(seed)
-    coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.TERMS, 3)).astype(np.float32)
+    coefficients = rng.normal(0, 30, (gel_kernels.COEFFICIENTS, 3)).astype(np.float32)
     background = rng.uniform(90, 130, (48, 64, 3)).astype(np.float32)
     weights = {name: np.zeros(shape, np.float32) for name, shape in reader.reader_shapes().items()}
     report = {"mm_per_px": 0.295, "noise_levels": 1.0, "image_error_levels": 1.0, "residual_levels": 1.0}
@@ -51,9 +51,10 @@ def terms_of(at_rest: np.ndarray, width: int) -> np.ndarray:
 def response_of(seen: gel.Features, coefficients: np.ndarray, terms: np.ndarray) -> np.ndarray:
     """The response (H W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
     entries, shares = seen
-    known = coefficients.astype(float).copy()
-    known[gel_kernels.SLOPES :, 1:] = 0.0  # the light of a lamp has one term
-    return np.einsum("pk,pkts,pt->ps", shares, known[entries], terms)
+    at = np.minimum(entries[..., None] + np.arange(gel_kernels.TERMS), gel_kernels.COEFFICIENTS - 1)
+    known = coefficients[at].astype(float)
+    known[entries >= gel_kernels.SLOPES * gel_kernels.TERMS, 1:] = 0.0  # the light of a lamp has one term
+    return np.einsum("pk,pkts,pt->ps", shares, known, terms)
 
 
 def without(shape: np.ndarray, *fitted: Fitted) -> np.ndarray:

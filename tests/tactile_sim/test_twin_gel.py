@@ -8,7 +8,6 @@ from scipy import ndimage
 
 import tactile_sim
 from tactile_sim.twin import gel, gel_kernels, surface_kernels, view_kernels
-from tactile_sim.twin.fitting import COEFFICIENTS
 from tactile_sim.twin.gel import Fitted
 from tests.tactile_sim.made_up_twin import (
     HALF_M,
@@ -88,10 +87,10 @@ def lamps_of(soft: np.ndarray, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     """From each pixel to each lamp, (H, W, lamps, 3), and the shares of the lamps, (H, W, lamps)."""
     rows, columns = soft.shape
     _, shares = gel.surface_features(soft, np.array([pitch, pitch]), without(SHAPE, Fitted.LENS))
-    ring = 1.28 * np.hypot(columns, rows) * pitch / 2
+    ring = SHAPE[Fitted.LAMP_DISTANCE] * np.hypot(columns, rows) * pitch / 2
     turns = 2 * np.pi * np.arange(gel_kernels.AZIMUTHS) / gel_kernels.AZIMUTHS
     turn = np.repeat(turns, len(gel_kernels.HEIGHTS))
-    height = np.tile(gel_kernels.HEIGHTS, gel_kernels.AZIMUTHS)
+    height = np.tile(SHAPE[Fitted.LAMP_HEIGHT] * gel_kernels.HEIGHTS, gel_kernels.AZIMUTHS)
     lamps = ring * np.stack([np.cos(turn), np.sin(turn), height], axis=1)
     y, x = np.mgrid[(rows - 1) / 2 : -rows / 2 : -1, -(columns - 1) / 2 : columns / 2] * pitch
     pixels = np.stack([x, y, -soft.astype(float)], axis=2)
@@ -100,7 +99,7 @@ def lamps_of(soft: np.ndarray, pitch: float) -> tuple[np.ndarray, np.ndarray]:
 
 def at_rest(to: np.ndarray, soft: np.ndarray, pitch: float) -> np.ndarray:
     """The light of lamps on gel at rest, (H, W, lamps), from the vectors of :func:`lamps_of`."""
-    ring = 1.28 * np.hypot(*soft.shape) * pitch / 2
+    ring = SHAPE[Fitted.LAMP_DISTANCE] * np.hypot(*soft.shape) * pitch / 2
     level = to + np.array([0.0, 0.0, 1.0]) * (-soft.astype(float) / ring)[:, :, None, None]
     return level[..., 2] / np.linalg.norm(level, axis=-1) ** 3
 
@@ -109,7 +108,7 @@ def test_lamps_shine_as_lamberts_law_says():
     """On slopes without shadows, light is the cosine over the square of the distance, less that at rest."""
     pitch = 3e-4
     y, x = np.mgrid[-1:1:48j, -1:1:64j]
-    soft = np.float32(-8e-4 * np.exp(-2 * (x - 0.2) ** 2 - 3 * (y + 0.1) ** 2))
+    soft = np.float32(-4e-4 * np.exp(-2 * (x - 0.2) ** 2 - 3 * (y + 0.1) ** 2))
     to, shares = lamps_of(soft, pitch)
     down, right = np.gradient(-soft.astype(float), pitch)
     normal = np.stack([-right, down, np.ones_like(down)], axis=2)
@@ -117,7 +116,7 @@ def test_lamps_shine_as_lamberts_law_says():
     light = np.einsum("hwi,hwli->hwl", normal, to) / np.linalg.norm(to, axis=-1) ** 3
     expected = light - at_rest(to, soft, pitch)
     inside = (slice(2, -2), slice(2, -2))
-    assert np.abs(expected[inside]).max() > 0.2
+    assert np.abs(expected[inside]).max() > 0.1
     assert shares[inside] == pytest.approx(expected[inside], abs=3e-3)
 
 
@@ -149,7 +148,9 @@ def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
     light = []
     for surface in (soft, np.pad(soft, 80, mode="edge")):
         view = gel.view_of(surface.shape, np.array([2e-5, 3e-5]), without(SHAPE, Fitted.LENS))
-        light.append(gel_kernels.lamp_light(surface, view._replace(ring=1e-3), np.geomspace(1e-4, 6e-3, 5)))
+        light.append(
+            gel_kernels.lamp_light(surface, view._replace(ring=1e-3, lamp=4e-4), np.geomspace(1e-4, 6e-3, 5))
+        )
     small, inner = light[0][1:-1, 1:-1], light[1][81:-81, 81:-81]  # slopes at an edge are those of one side
     assert np.ptp(small[..., 3]) > 0.5
     assert small == pytest.approx(inner, abs=1e-3)
@@ -186,12 +187,11 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
         entries, shares = gel.surface_features(soft, pitch_m, without(SHAPE, Fitted.LENS))
         entry, share = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
         assert share[:4].sum() == pytest.approx(1, abs=1e-5)
-        first = entry[0] // view_kernels.STEPS
+        first, step = divmod(entry[0] // gel_kernels.TERMS, view_kernels.STEPS)
         found = (first + share[2:4].sum()) * 2 * np.pi / view_kernels.TURNS
         assert np.cos(found - angle) > np.cos(0.006)
         half = np.tan(np.arctan(steep) / 2) / view_kernels.STEEPEST
-        place = entry[0] % view_kernels.STEPS + share[[1, 3]].sum()
-        assert place == pytest.approx((view_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
+        assert step + share[[1, 3]].sum() == pytest.approx((view_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
 
 
 def test_a_gel_at_rest_does_not_respond():
@@ -218,21 +218,22 @@ def test_normal_equations_are_those_of_the_dense_matrix():
     seen = gel.surface_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
     met = np.unique(seen[0][seen[1] != 0])
     # Directions that are neighbours across the whole turn, and lamps.
-    used = np.unique([*met[:6], *met[met < gel_kernels.SLOPES][-6:], *met[-8:]])
+    sloped = met[met < gel_kernels.SLOPES * gel_kernels.TERMS]
+    slopes = np.add.outer([*sloped[:6], *sloped[-6:]], np.arange(gel_kernels.TERMS))
+    at = np.unique([*slopes.ravel(), *met[-8:]])
     terms = gel.position_terms(made_up_twin().background)
     dense = []
-    for entry in used:
-        for place in range(gel_kernels.TERMS):
-            single = np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3))
-            single[entry, place, 0] = 1
-            dense.append(response_of(seen, single, terms.reshape(-1, 9))[:, 0])
+    for coefficient in at:
+        single = np.zeros((gel_kernels.COEFFICIENTS, 3))
+        single[coefficient, 0] = 1
+        dense.append(response_of(seen, single, terms.reshape(-1, 9))[:, 0])
     matrix = np.array(dense).T
     weights = rng.uniform(0, 1, (48, 64)).astype(np.float32)
     columns = rng.normal(size=(48, 64, 2)).astype(np.float32)
-    normal, products = np.zeros((COEFFICIENTS, COEFFICIENTS)), np.zeros((COEFFICIENTS, 2))
+    normal = np.zeros((gel_kernels.COEFFICIENTS, gel_kernels.COEFFICIENTS))
+    products = np.zeros((gel_kernels.COEFFICIENTS, 2))
     gel_kernels.add_normal(normal, *seen, terms, weights)
     gel_kernels.add_products(products, *seen, terms, (weights[..., None] * columns).astype(float))
-    at = (used[:, None] * gel_kernels.TERMS + np.arange(gel_kernels.TERMS)).ravel()
     weighed = matrix * weights.reshape(-1, 1)
     half = 2 * weighed[::2].T @ matrix[::2]  # every second pixel counts twice
     assert normal[np.ix_(at, at)] == pytest.approx(np.tril(half), abs=1e-5)
