@@ -152,15 +152,17 @@ def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:
     """Return the middle part of an image, a share ``span`` of its sides, scaled to a size (H, W)."""
     if image.shape[:2] == size and (np.abs(span - 1) < 1e-6).all():
         return image
-    part = image.astype(np.float64)
+    part = image
     for axis, count, share in ((0, size[0], span[1]), (1, size[1], span[0])):
         sides = part.shape[axis]
         at = (((2 * np.arange(count) + 1) / count - 1) * share + 1) * sides / 2 - 0.5
         at = np.clip(at, 0, sides - 1)
         first = np.minimum(at.astype(np.int64), sides - 2)
-        weight = (at - first).reshape([-1 if dimension == axis else 1 for dimension in range(3)])
-        part = part.take(first, axis) * (1 - weight) + part.take(first + 1, axis) * weight
-    return part.astype(np.float32)
+        weight = (at - first).astype(np.float32)
+        weight = weight.reshape([-1 if dimension == axis else 1 for dimension in range(3)])
+        low = part.take(first, axis)
+        part = low + weight * (part.take(first + 1, axis) - low)
+    return part
 
 
 def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
