@@ -58,7 +58,8 @@ class ThirdSensor(HiddenSensor):
         return replace(super().record(prints, touches, seed, *args, **options), solids=dict(solids))
 
     def _gel(self, reach_mm: Array, press_mm: float) -> tuple[Array, Array]:
-        rows, columns = (side - side % 2 for side in reach_mm.shape)
+        block_px = max(1, 2 * (round(0.24 / self.pitch_mm) // 2))
+        rows, columns = (side // block_px * block_px for side in reach_mm.shape)
         load = tactile_sim.GelLoad(
             depth_m=press_mm / 1e3, gel=tactile_sim.Gel(poisson_ratio=self.poisson_ratio, friction=0.0)
         )
@@ -67,7 +68,7 @@ class ThirdSensor(HiddenSensor):
             self.pitch_mm / 1e3,
             load,
             thickness_m=self.gel_mm / 1e3,
-            block_px=max(1, 2 * (round(0.24 / self.pitch_mm) // 2)),
+            block_px=block_px,
         )
         more = [(0, side - inner) for side, inner in zip(reach_mm.shape, (rows, columns), strict=True)]
         gel_mm = np.pad(1e3 * pressed.displacement_m[..., 2], more, mode="edge")
