@@ -68,18 +68,7 @@ def calibrate(
     The fit and the networks of the reader use BLAS: on another processor, the twin may differ in the last
     bits. A given twin renders the same bytes on one kind of processor.
     """
-    # Else pixels would be stretched: the fit keeps their aspect ratio.
-    require_proportions(
-        recordings.size_px,
-        (start.width_px, start.height_px),
-        "state the sides of what the images show and their pixels: --start FILE.json",
-    )
-    mistakes = find_mistakes(recordings, start)
-    fatal = [mistake for mistake in mistakes if mistake.is_fatal]
-    if fatal:
-        raise InputError(
-            f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
-        )
+    mistakes = _correctable_mistakes(recordings, start)
     unsaturated_shares = recordings.unsaturated_shares()
     usable = np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED)
     steps = Steps(on_progress, rounds_of_fit.STEPS + training_steps())
@@ -96,6 +85,23 @@ def calibrate(
     report["residual_levels"] = _residual_levels(twin, fit)
     report |= detail_levels(recordings.images)
     return model_of(twin, name)
+
+
+def _correctable_mistakes(recordings: Recordings, start: SensorModel) -> list[Mistake]:
+    """Return the mistakes with which a fit is possible; InputError for any other."""
+    # Else pixels would be stretched: the fit keeps their aspect ratio.
+    require_proportions(
+        recordings.size_px,
+        (start.width_px, start.height_px),
+        "state the sides of what the images show and their pixels: --start FILE.json",
+    )
+    mistakes = find_mistakes(recordings, start)
+    fatal = [mistake for mistake in mistakes if mistake.is_fatal]
+    if fatal:
+        raise InputError(
+            f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
+        )
+    return mistakes
 
 
 def _fitted(

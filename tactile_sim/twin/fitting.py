@@ -40,6 +40,7 @@ _ENTRY_COST, _LAMP_COST = 1e-4, 1e-3
 _LEVEL_COST = 30.0  # of a response where the gel is level, which would end abruptly there
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
+_UNSEEN = 0.02  # weight of saturated light at rest, in images that show how bright it is
 _GLARE = 0.03  # standard deviation over which saturated light at rest is smooth, of the width
 _NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
 MIN_DRIFT = 0.01
@@ -353,7 +354,7 @@ class Fit:
         """
         assert self.shrink == 1, "the background has the size of the images"
         is_least = self.at_rest > MOST_LEVEL
-        share = np.where(is_least, 0, len(self.recordings.backgrounds)) + 1e-6
+        share = np.where(is_least, _UNSEEN, len(self.recordings.backgrounds)) + 1e-6
         total = share * self.at_rest
         for touch in np.flatnonzero(self.used):
             base = self.rendered(int(touch), self.poses[touch], self.shape)

@@ -160,7 +160,7 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
             up = ring * _TOWARDS[azimuth, 1] - y
             _look_at(to, ahead, row, ring * _TOWARDS[azimuth, 0], up, view)
             for height in range(len(HEIGHTS)):
-                lamp_z = np.float32(HEIGHTS[height] * view.lamp)
+                lamp_z = np.float32(HEIGHTS[height] * view.lamp_height)
                 lamp = values[azimuth * len(HEIGHTS) + height]
                 for column in range(columns):
                     z = lamp_z + line[column]

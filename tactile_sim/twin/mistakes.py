@@ -16,7 +16,7 @@ import scipy
 
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief, shrunk
-from tactile_toolkit.value_types import Bool, Float32, Float64, Floating, Int64
+from tactile_toolkit.value_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.wording import with_count
 
 MIN_TOUCHES = 5
@@ -110,7 +110,7 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
         mistakes.append(Mistake("too-few", detail, float(count)))
     gel_at_rest = recordings.gel_at_rest()
     factor = max(1, recordings.size_px[0] // _WIDTH_PX)
-    images = np.stack([shrunk(image, factor) for image in recordings.images], dtype=np.float32)
+    images = np.stack([shrunk(image, factor) for image in recordings.images], dtype=np.float64)
     at_rest = shrunk(gel_at_rest, factor)
     for check in (_saturated, _channels, _changed_gel):
         mistakes += check(recordings, images, at_rest)
@@ -131,7 +131,7 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     return mistakes
 
 
-def _saturated(recordings: Recordings, images: Float32, at_rest: Float32) -> Iterator[Mistake]:
+def _saturated(recordings: Recordings, images: Float64, at_rest: Float32) -> Iterator[Mistake]:
     shares = np.array([(image >= _SATURATED_LEVEL).mean() for image in recordings.images])
     if np.median(shares) > _MAX_SATURATED:
         yield Mistake(
@@ -143,7 +143,7 @@ def _saturated(recordings: Recordings, images: Float32, at_rest: Float32) -> Ite
         )
 
 
-def _channels(recordings: Recordings, images: Float32, at_rest: Float32) -> Iterator[Mistake]:
+def _channels(recordings: Recordings, images: Float64, at_rest: Float32) -> Iterator[Mistake]:
     """Compare the gel at rest with the median of the touches, in all orders of the channels."""
     usual = images
     if not recordings.backgrounds.size:
@@ -165,7 +165,7 @@ def _channels(recordings: Recordings, images: Float32, at_rest: Float32) -> Iter
         )
 
 
-def _changed_gel(recordings: Recordings, images: Float32, at_rest: Float32) -> Iterator[Mistake]:
+def _changed_gel(recordings: Recordings, images: Float64, at_rest: Float32) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
     usable = np.flatnonzero(recordings.unsaturated_shares() >= MIN_UNSATURATED)
     images = images[usable]
@@ -189,7 +189,7 @@ def _changed_gel(recordings: Recordings, images: Float32, at_rest: Float32) -> I
         )
 
 
-def _drift(images: Float32, part: Bool) -> float:
+def _drift(images: Float64, part: Bool) -> float:
     """Return by how many levels most of the gel at rest differs between some images and the others."""
     within = np.median(images[part], axis=0)
     without = np.median(images[~part], axis=0)
@@ -267,7 +267,7 @@ def _heights(recordings: Recordings, compare: _Comparison, start: SensorModel) -
 class _Comparison:
     """Compares the slopes of solids in their poses with the change of images (n, h, w)."""
 
-    def __init__(self, recordings: Recordings, change: Float32, touches: Int64, start: SensorModel) -> None:
+    def __init__(self, recordings: Recordings, change: Float64, touches: Int64, start: SensorModel) -> None:
         self.touches = touches
         self.reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
         self.size = change.shape[1:]
@@ -331,7 +331,7 @@ class _Comparison:
         return np.asarray(_centred(np.hypot(down, right)[None])[0])
 
 
-def _blurred(images: Floating, sigma_px: float) -> Float64:
+def _blurred(images: Float64, sigma_px: float) -> Float64:
     smooth: Float64 = scipy.ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
     return smooth
 

@@ -64,8 +64,9 @@ def read_sensor(folder: str | Path, names: Sequence[str]) -> tuple[dict[str, Any
     try:
         with store.open_regular(file, root) as stream:
             document = json.loads(stream.read(_MAX_BYTES))
-        if (document["format"], document["version"]) != (_FORMAT, _VERSION):
-            problem = f"its format is not {_FORMAT!r} {_VERSION}"
+        stated = document["format"], document["version"]
+        if stated != (_FORMAT, _VERSION):
+            problem = f"its format is {stated[0]!r} {stated[1]!r}; expected {_FORMAT!r} {_VERSION}"
             raise ValueError(problem)
         geometry = dict(document["sensor"])
         if set(geometry) != set(names):

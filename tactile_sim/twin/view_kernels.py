@@ -42,7 +42,7 @@ class SurfaceView(NamedTuple):
     across: float
     camera: float
     ring: float
-    lamp: float
+    lamp_height: float
 
 
 @part

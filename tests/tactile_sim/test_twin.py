@@ -116,6 +116,23 @@ def test_a_fit_finds_how_far_away_lamps_are(six_touches):
     assert np.median(fits[1].rms) < 0.85 * np.median(fits[0].rms)
 
 
+def test_saturated_light_at_rest_is_smooth(six_touches):
+    """Where only some touches are darker than the range, their estimates of the light at rest are mixed."""
+    bright = {
+        name: np.clip(2 * getattr(six_touches, name).astype(int), 0, 255).astype(np.uint8)
+        for name in ("images", "backgrounds")
+    }
+    fit = begun(dataclasses.replace(six_touches, **bright))
+    saturated = fit.at_rest > 253
+    assert 0.1 < saturated.mean() < 0.9
+    fit.step()
+    fit.refresh_background()
+    assert (fit.background[saturated] >= fit.at_rest[saturated]).all()
+    assert fit.background[saturated].max() > 260
+    both = saturated[:, 1:] & saturated[:, :-1]
+    assert np.abs(np.diff(fit.background, axis=1))[both].max() < 25
+
+
 def test_a_twin_that_does_not_explain_held_out_touches_is_refused(six_touches):
     """Colours that suit some touches of wrong solids do not suit another touch."""
     swapped = dataclasses.replace(six_touches, object_ids=1 - six_touches.object_ids)

@@ -9,6 +9,7 @@ from scipy import ndimage
 import tactile_sim
 from tactile_sim.twin import gel, gel_kernels, surface_kernels, view_kernels
 from tactile_sim.twin.gel import Fitted
+from tactile_sim.twin.recordings import shrunk
 from tests.tactile_sim.made_up_twin import (
     HALF_M,
     SHAPE,
@@ -148,9 +149,8 @@ def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
     light = []
     for surface in (soft, np.pad(soft, 80, mode="edge")):
         view = gel.view_of(surface.shape, np.array([2e-5, 3e-5]), without(SHAPE, Fitted.LENS))
-        light.append(
-            gel_kernels.lamp_light(surface, view._replace(ring=1e-3, lamp=4e-4), np.geomspace(1e-4, 6e-3, 5))
-        )
+        near = view._replace(ring=1e-3, lamp_height=4e-4)
+        light.append(gel_kernels.lamp_light(surface, near, np.geomspace(1e-4, 6e-3, 5)))
     small, inner = light[0][1:-1, 1:-1], light[1][81:-81, 81:-81]  # slopes at an edge are those of one side
     assert np.ptp(small[..., 3]) > 0.5
     assert small == pytest.approx(inner, abs=1e-3)
@@ -192,6 +192,18 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
         assert np.cos(found - angle) > np.cos(0.006)
         half = np.tan(np.arctan(steep) / 2) / view_kernels.STEEPEST
         assert step + share[[1, 3]].sum() == pytest.approx((view_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
+
+
+@pytest.mark.parametrize("sides", [(12, 20), (13, 23), (12, 20, 3)])
+@pytest.mark.parametrize("factor", [1, 2, 4])
+def test_shrunk_images_are_means_over_blocks(sides: tuple[int, ...], factor: int):
+    """Bright pixels of uint8 do not overflow, and what fills no block is left out."""
+    image = np.random.default_rng(0).integers(200, 256, sides).astype(np.uint8)
+    small = shrunk(image, factor)
+    assert small.shape == (sides[0] // factor, sides[1] // factor, *sides[2:])
+    for row, column in np.ndindex(small.shape[:2]):
+        block = image[row * factor : (row + 1) * factor, column * factor : (column + 1) * factor]
+        assert small[row, column] == pytest.approx(block.mean(axis=(0, 1)), abs=1e-3)
 
 
 def test_a_gel_at_rest_does_not_respond():
