@@ -31,7 +31,7 @@ _OWN = 4
 _STEPS = np.array(
     [0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004, 0.04, 0.02, 6e-5, 6e-5, 0.008, 3e-5]
 )
-_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 12.0, 0.5, 0.015, 0.3, 0.15])
+_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 40.0, 0.5, 0.015, 0.3, 0.15])
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of an entry, and of the entries of slopes and of lamps.
@@ -42,12 +42,8 @@ _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the 
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
 _UNSEEN = 0.02  # weight of saturated light at rest, in images that show how bright it is
 _GLARE = 0.03  # standard deviation over which saturated light at rest is smooth, of the width
-_NOISE_OF_GAINS = 3.0  # levels; the first residuals are larger, because touches are not explained yet
 MIN_DRIFT = 0.01
 """Root mean square of the gains of frames, less 1, below which all of them count as 1."""
-
-FIRST_DRIFT = 0.015
-"""The same before the first step, when a gel that is pulled down all around a contact looks like light."""
 
 ALIKE_PX = 200.0
 """Number of pixels whose residuals are correlated, so that they count as one."""
@@ -149,16 +145,16 @@ class Fit:
         levels = shrunk(image.astype(np.float32), self.shrink) / self.gains[touch].astype(np.float32)
         return levels, shrunk(mask, self.shrink) > 0.99
 
-    def refresh_gains(self, least: float = MIN_DRIFT) -> None:
-        """Fit the gains of each frame to the background and the rendered changes; below ``least``, none."""
+    def refresh_gains(self) -> None:
+        """Fit the gains of each frame to the background and the rendered changes; 1 if they hardly differ."""
         for touch in range(len(self.poses)):
             self._refresh_gain(touch, self.rendered(touch, self.poses[touch], self.shape))
-        if self.light_drift < least:
+        if self.light_drift < MIN_DRIFT:
             self.gains[:] = 1.0
 
     def _refresh_gain(self, touch: int, base: Float32) -> None:
         image, _ = self.image(touch)
-        self.gains[touch] *= frame_gains(image, self.behind + base, min(self.noise, _NOISE_OF_GAINS))
+        self.gains[touch] *= frame_gains(image, self.behind + base, self.noise)
 
     @property
     def light_drift(self) -> float:

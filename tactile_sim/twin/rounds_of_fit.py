@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
-from tactile_sim.twin.fitting import FIRST_DRIFT, Fit, Steps
+from tactile_sim.twin.fitting import Fit, Steps
 from tactile_sim.twin.gel import OF_THE_VIEW, Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES
 from tactile_sim.twin.recordings import Recordings, Relief
@@ -85,7 +85,7 @@ def run_coarse(fit: Fit, steps: Steps) -> float:
 
     What all touches have in common is the thickness of the gel.
     """
-    fit.refresh_gains(FIRST_DRIFT)
+    # Without gains: as long as touches are not explained, their shadows look like another light.
     _run_round(fit, steps, _COARSE_ROUND)
     known = fit.used & (fit.spread[:, 3] < _UNKNOWN_PRESS_M)
     moved_m = fit.poses[known, 3]

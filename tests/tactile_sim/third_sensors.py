@@ -22,8 +22,9 @@ from tactile_toolkit.mesh import Mesh
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import Array, HiddenSensor
 
-VARIANTS = ("base", "far", "mutual", "wander", "shrunk", "all")
-"""One effect of each: none, a camera far away, inter-reflection, white balance, small prints; and all."""
+VARIANTS = ("base", "far", "discs", "mutual", "wander", "shrunk", "all")
+"""One effect of each: none, a camera far away, lamps that are discs, inter-reflection, white balance, small
+prints; and the last three of them together."""
 
 _POINTS_MM = (-5.0, 0.0, 5.0)  # of a row of lamps, from its middle
 _SHADOW_MM = np.geomspace(0.15, 9.0, 20)  # distances at which rays to the lamps are tested
@@ -37,7 +38,8 @@ class ThirdSensor(HiddenSensor):
     """Properties of the sensor and of the prints; lengths in mm.
 
     ``mutual`` is the share of light that slopes receive from each other, ``wander`` the standard deviation of
-    the gains of a frame, and ``shrinkage`` that of the prints.
+    the gains of a frame, and ``shrinkage`` that of the prints. Lamps are points, or discs with the radius
+    ``lamp_mm``.
     """
 
     camera_mm: float = 36.0
@@ -46,6 +48,7 @@ class ThirdSensor(HiddenSensor):
     mutual: float = 0.0
     wander: float = 0.0
     shrinkage: float = 0.0
+    lamp_mm: float = 0.0
 
     def record(
         self, solids: Mapping[int, Mesh], touches: int = 20, seed: int = 0, *args: Any, **options: Any
@@ -107,13 +110,15 @@ class ThirdSensor(HiddenSensor):
         """Return the share of the light of a lamp that no other part of the gel keeps off."""
         row, column = np.mgrid[: gel_mm.shape[0], : gel_mm.shape[1]].astype(float)
         level = np.hypot(to[..., 0], to[..., 1])
-        above = np.zeros_like(gel_mm)
+        above = np.full_like(gel_mm, -np.inf)
         for far in _SHADOW_MM[self.pitch_mm < _SHADOW_MM]:
             share = np.minimum(far / level, 1)
             steps = share[..., None] * to / self.pitch_mm
             at = np.stack([row - steps[..., 1], column + steps[..., 0]])
             along = ndimage.map_coordinates(gel_mm, at, order=1, mode="nearest")
             above = np.maximum(above, (along - gel_mm - share * to[..., 2]) / far)
+        if self.lamp_mm:
+            return np.asarray(np.clip(0.5 - above * level / (2 * self.lamp_mm), 0, 1))
         return np.asarray(np.clip(1 - above / _PENUMBRA, 0, 1))
 
     def _projected(self, frame: Array, gel_mm: Array) -> Array:
@@ -183,4 +188,5 @@ def draw_third(seed: int, variant: str = "base", size_px: tuple[int, int] = (160
         mutual=0.25 * (variant == "mutual" or of_all) * float(rng.uniform(0.7, 1.3)),
         wander=0.03 * (variant == "wander" or of_all),
         shrinkage=0.005 * (variant == "shrunk" or of_all),
+        lamp_mm=0.7 * (variant == "discs"),
     )
