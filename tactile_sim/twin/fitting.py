@@ -45,6 +45,9 @@ _GLARE = 0.03  # standard deviation over which saturated light at rest is smooth
 MIN_DRIFT = 0.01
 """Root mean square of the gains of frames, less 1, below which all of them count as 1."""
 
+FIRST_DRIFT = 0.006
+"""The same after the first round, whose response takes up part of the gains; up to 0.004 in steady light."""
+
 ALIKE_PX = 200.0
 """Number of pixels whose residuals are correlated, so that they count as one."""
 
@@ -145,11 +148,11 @@ class Fit:
         levels = shrunk(image.astype(np.float32), self.shrink) / self.gains[touch].astype(np.float32)
         return levels, shrunk(mask, self.shrink) > 0.99
 
-    def refresh_gains(self) -> None:
-        """Fit the gains of each frame to the background and the rendered changes; 1 if they hardly differ."""
+    def refresh_gains(self, least: float) -> None:
+        """Fit the gains of each frame to the background and the rendered changes; below ``least``, none."""
         for touch in range(len(self.poses)):
             self._refresh_gain(touch, self.rendered(touch, self.poses[touch], self.shape))
-        if self.light_drift < MIN_DRIFT:
+        if self.light_drift < least:
             self.gains[:] = 1.0
 
     def _refresh_gain(self, touch: int, base: Float32) -> None:

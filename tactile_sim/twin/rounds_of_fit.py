@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactile_sim.press.sensors import SensorModel
-from tactile_sim.twin.fitting import Fit, Steps
+from tactile_sim.twin.fitting import FIRST_DRIFT, MIN_DRIFT, Fit, Steps
 from tactile_sim.twin.gel import OF_THE_VIEW, Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES
 from tactile_sim.twin.recordings import Recordings, Relief
@@ -86,7 +86,7 @@ def run_coarse(fit: Fit, steps: Steps) -> float:
     What all touches have in common is the thickness of the gel.
     """
     # Without gains: as long as touches are not explained, their shadows look like another light.
-    _run_round(fit, steps, _COARSE_ROUND)
+    _run_round(fit, steps, _COARSE_ROUND, FIRST_DRIFT)
     known = fit.used & (fit.spread[:, 3] < _UNKNOWN_PRESS_M)
     moved_m = fit.poses[known, 3]
     return float(np.std(moved_m)) if known.sum() > 1 else 0.0
@@ -108,7 +108,7 @@ def run_fine(fit: Fit, steps: Steps) -> None:
         steps.advance()
 
 
-def _run_round(fit: Fit, steps: Steps, settings: _Round) -> None:
+def _run_round(fit: Fit, steps: Steps, settings: _Round, least_drift: float = MIN_DRIFT) -> None:
     fit.set_shrink(max(1, round(fit.recordings.size_px[0] / settings.width_px)))
     fit.ridge = settings.ridge
     fit.step()
@@ -119,7 +119,7 @@ def _run_round(fit: Fit, steps: Steps, settings: _Round) -> None:
             steps.advance(settings.steps - 1 - number)
             break
     leave_out_misfits(fit)
-    fit.refresh_gains()
+    fit.refresh_gains(least_drift)
 
 
 def solid_scale(fit: Fit) -> tuple[float, float]:

@@ -105,7 +105,7 @@ def test_a_fit_finds_how_far_away_lamps_are(six_touches):
     truth = begun(six_touches)
     truth.shape[[*lamps]] = 1.7, 0.2
     each = truth.coefficients[-gel_kernels.LAMPS :].reshape(gel_kernels.AZIMUTHS, -1, 3)
-    each[::5] = rng.uniform(0, 40, (4, 1, 3))
+    each[::5] = rng.uniform(0, 40, (len(each[::5]), 1, 3))
     levels = [truth.behind + truth.rendered(touch, truth.poses[touch], truth.shape) for touch in range(6)]
     noisy = np.clip(np.rint(levels + rng.normal(0, 1, np.shape(levels))), 0, 255).astype(np.uint8)
     fits = [begun(dataclasses.replace(six_touches, images=noisy)) for _ in range(2)]
@@ -169,7 +169,7 @@ def test_a_step_that_makes_images_worse_is_shortened(too_far, six_touches, monke
 
 
 def test_gains_of_frames_are_those_of_the_light(six_touches):
-    """White balance that wanders is fitted within a third, though the gel moves nearly everywhere.
+    """White balance that wanders is halved at least, though the gel moves nearly everywhere in six touches.
 
     Light that does not wander counts as such.
     """
@@ -177,10 +177,9 @@ def test_gains_of_frames_are_those_of_the_light(six_touches):
     wandering = np.clip(np.rint(six_touches.images * gains), 0, 255).astype(np.uint8)
     for images, expected in ((wandering, gains[:, 0, 0]), (six_touches.images, np.ones((6, 3)))):
         fit = begun(dataclasses.replace(six_touches, images=images))
-        for _ in range(2):
-            fit.step()
-            fit.refresh_gains()
-        assert np.sqrt(np.mean((fit.gains - expected) ** 2)) <= 0.35 * fit.light_drift
+        rounds_of_fit.run_coarse(fit, Steps())
+        rounds_of_fit.run_fine(fit, Steps())
+        assert np.sqrt(np.mean((fit.gains - expected) ** 2)) <= 0.5 * np.sqrt(np.mean((expected - 1) ** 2))
 
 
 def test_prints_that_are_too_small_change_lengths_and_no_image(six_touches):
