@@ -41,7 +41,7 @@ LAMPS = AZIMUTHS * len(HEIGHTS)
 
 # Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
 _LAMP_VALUES = 4
-_LAMP_SIZE = 0.45  # of a lamp from its lower to its upper end, over the height that is fitted
+_LAMP_SIZE = 0.4  # of a lamp from its lower to its upper end, over the height that is fitted
 
 _TOWARDS = np.array(
     [[math.cos(2 * math.pi * k / AZIMUTHS), math.sin(2 * math.pi * k / AZIMUTHS)] for k in range(AZIMUTHS)],
