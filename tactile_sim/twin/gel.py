@@ -58,7 +58,7 @@ class Fitted(IntEnum):
     camera from the gel, 1 / metres, and ``RISE`` the share of the volume pressed in by which the gel rises.
     ``POISSON`` is Poisson's ratio of an elastic gel, of which width, contact and rise mean nothing, and 0 of
     any other. ``LAMP_DISTANCE`` is the distance of lamps from the middle of the image, in halves of its
-    diagonal, and ``LAMP_HEIGHT`` the height of the middle ones above the gel, over this distance.
+    diagonal, and ``LAMP_HEIGHT`` the height of which theirs above the gel are multiples, over this distance.
     """
 
     SIZE = 0

@@ -30,8 +30,8 @@ class SurfaceView(NamedTuple):
 
     The fields are the size of a pixel, metres; the share of the image that is shown, along x and y; the
     radial term of the lens; the squared width of the image over its squared diagonal; one over the distance
-    of the camera, 1 / metres; the distance of lamps from the middle, and the height of the middle ones,
-    metres.
+    of the camera, 1 / metres; the distance of lamps from the middle, and the height of which theirs are
+    multiples, metres.
     """
 
     pitch_x: float
