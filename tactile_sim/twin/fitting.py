@@ -29,9 +29,28 @@ _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives by geometry and pose; expected deviations from the guess.
 _STEPS = np.array(
-    [0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004, 0.04, 0.02, 6e-5, 6e-5, 0.008, 3e-5]
+    [
+        0.004,
+        0.01,
+        3e-5,
+        5e-5,
+        1.5e-5,
+        0.03,
+        2e-5,
+        2.0,
+        0.05,
+        -0.004,
+        0.04,
+        0.02,
+        0.05,
+        0.02,
+        6e-5,
+        6e-5,
+        0.008,
+        3e-5,
+    ]
 )
-_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 40.0, 0.5, 0.015, 0.3, 0.15])
+_SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 40.0, 0.5, 0.015, 0.3, 0.15, 0.5, 0.1])
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of an entry, and of the entries of slopes and of lamps.
@@ -41,6 +60,7 @@ _LEVEL_COST = 30.0  # of a response where the gel is level, which would end abru
 _STEP_FACTORS = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # largest ratio of the costs after and before
 _UNSEEN = 0.02  # weight of saturated light at rest, in images that show how bright it is
+_DARK = 0.02  # light of a lamp that counts as none, over that of the brightest
 _GLARE = 0.03  # standard deviation over which saturated light at rest is smooth, of the width
 MIN_DRIFT = 0.01
 """Root mean square of the gains of frames, less 1, below which all of them count as 1."""
@@ -127,6 +147,7 @@ class Fit:
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
         self.penalty = _penalty()
+        self.lamps = gel_kernels.ALL_LAMPS
         self.set_shrink(1)
 
     def set_shrink(self, shrink: int) -> None:
@@ -291,7 +312,7 @@ class Fit:
             own = _SHARED + _OWN * touch
             unknowns += [*map(int, moving), *range(own, own + _OWN)]
         pitch_m = self.pitch_m(self.shape)
-        features = gel.surface_features(seen, pitch_m, self.shape)
+        features = gel.surface_features(seen, pitch_m, self.shape, self.lamps)
         blur_px = self.shape[Fitted.BLUR] / pitch_m
         sums.add(
             features, self.terms, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px
@@ -373,6 +394,20 @@ class Fit:
         self.background = np.where(is_least, bright, total / share).astype(np.float32)
         self.behind = self.background
         self.terms = gel.position_terms(self.behind)
+
+    def choose_lamps(self) -> None:
+        """Keep the lamps that shine if their light, which is not negative, has to explain the images.
+
+        There are a few rows of lamps. Their shadows are sharper without all others.
+        """
+        sums = _Sums(len(self.poses))
+        for touch in np.flatnonzero(self.used).tolist():
+            self._add(sums, touch, ())
+        light = sums.lamp_light(self)
+        is_dark = (light < _DARK * light.max()).all(axis=1)
+        self.lamps = np.flatnonzero(~is_dark)
+        self.coefficients[-gel_kernels.LAMPS :][is_dark] = 0.0
+        self.step()
 
     def choose_ridge(self) -> None:
         """Choose the ridge with which a fit to the other touches predicts every fifth touch best.
@@ -457,6 +492,18 @@ class _Sums:
             square = (flat * np.repeat(weights.ravel(), 3)) @ flat.T
             self.moves[np.ix_(unknowns, unknowns)] += square[1:, 1:]
             self.slope[unknowns] += square[1:, 0]
+
+    def lamp_light(self, fit: Fit) -> Float64:
+        """Return the light of each lamp in each colour, (LAMPS, 3), that is not negative and fits best."""
+        normal = self.full()
+        wanted = self.products[:, 0] + normal @ fit.coefficients
+        normal += fit.ridge * self.scale * fit.penalty
+        slopes, lamps = slice(-gel_kernels.LAMPS), slice(-gel_kernels.LAMPS, None)
+        # What slopes explain is eliminated.
+        across = scipy.linalg.solve(normal[slopes, slopes], normal[slopes, lamps], assume_a="pos").T
+        upper = scipy.linalg.cholesky(normal[lamps, lamps] - across @ normal[slopes, lamps])
+        right = scipy.linalg.solve_triangular(upper, wanted[lamps] - across @ wanted[slopes], trans=1)
+        return np.column_stack([scipy.optimize.nnls(upper, right[:, colour])[0] for colour in range(3)])
 
     def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
         """Update the response of a fit, and return the moves of its geometry and poses."""

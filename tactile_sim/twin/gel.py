@@ -38,8 +38,8 @@ _REACHES_M = np.geomspace(2.5e-4, 8e-3, 15)  # at which the gel is compared with
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
 _FAR_M = 1.0  # below the highest point of a solid, out of reach of the gel
 _AROUND = 1.25  # how far around a contact a gel rises, in its thicknesses, standard deviation
-_LEAST = np.array([-1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0, 1.05, 0.05])
-_MOST = np.array([1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499, 2.5, 1.5])
+_LEAST = np.array([-1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6, 0.0, -0.5, 0.0, 1.05, 0.05, -1.0, -0.5])
+_MOST = np.array([1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4, 60.0, 1.5, 0.499, 2.5, 1.5, 1.5, 0.5])
 
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
@@ -59,6 +59,8 @@ class Fitted(IntEnum):
     ``POISSON`` is Poisson's ratio of an elastic gel, of which width, contact and rise mean nothing, and 0 of
     any other. ``LAMP_DISTANCE`` is the distance of lamps from the middle of the image, in halves of its
     diagonal, and ``LAMP_HEIGHT`` the height of which theirs above the gel are multiples, over this distance.
+    A lamp faces the middle: it sends less light elsewhere by ``LOBE`` times the squared sine of the angle.
+    ``FADE`` is how far above its middle what hides half of a lamp reaches, over the same height.
     """
 
     SIZE = 0
@@ -73,9 +75,12 @@ class Fitted(IntEnum):
     POISSON = 9
     LAMP_DISTANCE = 10
     LAMP_HEIGHT = 11
+    LOBE = 12
+    FADE = 13
 
 
-OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA, Fitted.LAMP_DISTANCE, Fitted.LAMP_HEIGHT)
+OF_THE_LAMPS = (Fitted.LAMP_DISTANCE, Fitted.LAMP_HEIGHT, Fitted.LOBE, Fitted.FADE)
+OF_THE_VIEW = (Fitted.LENS, Fitted.BLUR, Fitted.CAMERA, *OF_THE_LAMPS)
 """Values that change how a gel is seen, and not how it is pressed."""
 
 
@@ -250,20 +255,25 @@ def view_of(
     across = _across_of(pitch_m, size, span)
     lens, camera = shape[[Fitted.LENS, Fitted.CAMERA]].tolist()
     half_x, half_y = size[1] * pitch_x / (2 * span_x), size[0] * pitch_y / (2 * span_y)
-    ring_m = float(shape[Fitted.LAMP_DISTANCE] * np.hypot(half_x, half_y))
-    lamp_m = float(shape[Fitted.LAMP_HEIGHT]) * ring_m
-    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, ring_m, lamp_m)
+    distance, height, lobe, fade = shape[[*OF_THE_LAMPS]].tolist()
+    ring_m = distance * float(np.hypot(half_x, half_y))
+    lamp_m = height * ring_m
+    lamps = ring_m, lamp_m, lobe, fade * lamp_m
+    return view_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, lens, across, camera, *lamps)
 
 
-def surface_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Features:
+def surface_features(
+    soft: Float32, pitch_m: Float64, shape: Float64, lamps: Int64 = gel_kernels.ALL_LAMPS
+) -> Features:
     """Return the entries of the response that each pixel of a surface depends on, and their shares.
 
-    An entry is the index of its first coefficient.
+    An entry is the index of its first coefficient; those of ``lamps`` are the last ones.
     """
-    entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
+    entries = np.empty((soft.size, gel_kernels.SLOPED + len(lamps)), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    light, scale = _lamp_light(soft, pitch_m, shape)
-    gel_kernels.features(soft, light, scale, view_of(soft.shape, pitch_m, shape), entries, shares)
+    light, scale = _lamp_light(soft, pitch_m, shape, lamps)
+    view = view_of(soft.shape, pitch_m, shape)
+    gel_kernels.features(soft, light, scale, view, lamps, entries, shares)
     return entries, shares
 
 
@@ -288,7 +298,7 @@ def position_terms(at_rest: Float32, span: Float64 = WHOLE, mean: Floating | Non
 
 
 def _lamp_light(
-    soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
+    soft: Float32, pitch_m: Float64, shape: Float64, lamps: Int64, span: Float64 = WHOLE
 ) -> tuple[Float32, float]:
     """Return the light of lamps on a map of at most :data:`_LIGHT_PX`, and how much smaller the map is."""
     scale = 1.0
@@ -296,7 +306,7 @@ def _lamp_light(
         soft = surface_kernels.halved(soft)
         scale /= 2
     view = view_of(soft.shape, pitch_m / scale, shape, span)
-    return gel_kernels.lamp_light(soft, view, _REACHES_M), scale
+    return gel_kernels.lamp_light(soft, view, _REACHES_M, lamps), scale
 
 
 def response_table(coefficients: Floating) -> Float32:
@@ -321,9 +331,10 @@ def response(
     ``table`` is a :func:`response_table`, and ``terms`` are the :func:`position_terms` of its pixels.
     """
     out = np.empty((*soft.shape, 3), np.float32)
-    light, scale = _lamp_light(soft, pitch_m, shape, span)
+    lamps = np.flatnonzero(table[gel_kernels.SLOPES :].any(axis=1))
+    light, scale = _lamp_light(soft, pitch_m, shape, lamps, span)
     view = view_of(soft.shape, pitch_m, shape, span)
-    gel_kernels.render_response(out, soft, light, scale, view, terms, table)
+    gel_kernels.render_response(out, soft, light, scale, view, terms, table, lamps)
     blur_colours(out, shape[Fitted.BLUR] / pitch_m)
     return out
 

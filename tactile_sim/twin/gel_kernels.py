@@ -1,11 +1,12 @@
 """Kernels of the response of a twin, in numba: to the light of lamps and to slopes, and its normal equations.
 
 The response of a colour is the sum of the light of some lamps on matt gel, and of a table over direction and
-steepness of its slope. Lamps stand on a ring around the image, in several heights. What rises above the lower
-end of a lamp hides a part of it, what rises above its upper end all of it. Light falls off with the square of
-the distance, and as much is reflected as the gel turns to the lamp (Lambert). The table is what a gel does
-beyond that. Its entries are sums of terms: of the position in the image, quadratic, and of the colours of the
-gel at rest, which tell where lamps are near.
+steepness of its slope. Lamps stand on a ring around the image, in several heights, and face its middle. What
+rises above the lower end of a lamp hides a part of it, what rises above its upper end all of it. Light falls
+off with the square of the distance and with the angle from where a lamp faces, and as much is reflected as
+the gel turns to the lamp (Lambert). The table is what a gel does beyond that. Its entries are sums of terms:
+of the position in the image, quadratic, and of the colours of the gel at rest, which tell where lamps are
+near.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from tactile_sim.twin.view_kernels import (
 from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.value_types import Float32, Float64, Int64
 
-AZIMUTHS = 12
+AZIMUTHS = 16
 """Directions of lamps from the middle of the image."""
 
-HEIGHTS = np.array([0.5, 0.85, 1.25, 1.75])
+HEIGHTS = np.array([0.45, 0.7, 0.95, 1.2, 1.5, 1.9])
 """Heights of the middles of lamps above the gel, over a height that is fitted.
 
 The shadow of a lamp between two of them is a mixture of a longer and a shorter one. A fit that cannot make
@@ -38,10 +39,13 @@ shadows long enough presses the solid deeper, by up to 0.2 mm; with lamps too hi
 """
 
 LAMPS = AZIMUTHS * len(HEIGHTS)
+ALL_LAMPS = np.arange(LAMPS)
+"""The number of each lamp; those of one direction follow each other."""
 
 # Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
 _LAMP_VALUES = 4
-_LAMP_SIZE = 0.4  # of a lamp from its lower to its upper end, over the height that is fitted
+_LAMP_SIZE = 0.33  # of a lamp from its lower to its upper end, over the height that is fitted
+_LEAST_SENT = 0.05  # share of the light of a lamp that is sent in any direction
 
 _TOWARDS = np.array(
     [[math.cos(2 * math.pi * k / AZIMUTHS), math.sin(2 * math.pi * k / AZIMUTHS)] for k in range(AZIMUTHS)],
@@ -65,9 +69,8 @@ ENTRY_VALUES = 4 * TERMS
 """Values of an entry in :func:`render_response`: three colours and a zero for each term."""
 
 _LINE_VALUES = 24
-_SLOPED = 4
-ACTIVE = _SLOPED + LAMPS
-"""Number of entries that a pixel may depend on: four of slopes, and all lamps."""
+SLOPED = 4
+"""Number of entries of slopes that a pixel depends on; those of lamps follow."""
 
 
 @part
@@ -110,70 +113,79 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
 
 
 @part
-def _look_at(to: Float32, ahead: Float32, row: int, lamp_x: float, up: float, view: SurfaceView) -> None:
-    """Write how far a lamp is from the pixels of a row, (5, W).
+def _look_at(to: Float32, ahead: Float32, row: int, azimuth: int, up: np.float32, view: SurfaceView) -> None:
+    """Write how far a lamp is from the pixels of a row, (6, W).
 
     The rows are the distance along x, the squared distance along the gel, the direction in steps of
-    ``AZIMUTHS``, how steeply the gel rises on the way, between the directions of ``ahead``, and the distance
-    along the gel.
+    ``AZIMUTHS``, how steeply the gel rises on the way, between the directions of ``ahead``, the distance
+    along the gel, and the square of the distance in front of the lamp.
     """
     columns = ahead.shape[2]
     unit, width = np.float32(1.0), np.float32(view.pitch_x)
     per_turn = np.float32(AZIMUTHS / TURNS)
     from_left = np.float32(0.5 - 0.5 * columns)
+    lamp_x = np.float32(view.ring * _TOWARDS[azimuth, 0])
     for column in range(columns):
-        across = np.float32(lamp_x) - width * (column + from_left)
-        to[0, column], to[1, column] = across, across * across + np.float32(up * up)
-        to[2, column] = turn_of(across, np.float32(up)) * per_turn
+        across = lamp_x - width * (column + from_left)
+        to[0, column], to[1, column] = across, across * across + up * up
+        to[2, column] = turn_of(across, up) * per_turn
     for column in range(columns):
         first = int(to[2, column])
         part = to[2, column] - np.float32(first)
         second = first + 1 if first < AZIMUTHS - 1 else 0
         to[3, column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
         to[4, column] = np.float32(math.sqrt(to[1, column]))
+        in_front = to[0, column] * _TOWARDS[azimuth, 0] + up * _TOWARDS[azimuth, 1]
+        to[5, column] = in_front * in_front
 
 
 @compiled
-def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
-    """Return the light of each lamp on a surface, (H, W, lamps, 4); it is 1 as far away as the ring is wide.
+def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64, lamps: Int64) -> Float32:
+    """Return the light of some lamps on a surface, (H, W, n, 4); it is 1 as far away as the ring is wide.
 
-    The first three values times the normal of the gel are the light that shadows leave; the last one is the
-    light at rest, negative.
+    ``lamps`` (n,) are numbers of :data:`ALL_LAMPS`. The first three values times the normal of the gel are
+    the light that shadows leave; the last one is the light at rest, negative.
     """
     rows, columns = soft.shape
     ahead = _horizons(soft, view, reaches)
-    ring = np.float32(view.ring)
-    unit, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
-    out = np.empty((rows, columns, LAMPS, _LAMP_VALUES), np.float32)
+    ring, lobe, fade = np.float32(view.ring), np.float32(view.lobe), np.float32(view.fade)
+    unit, half, zero, least = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(_LEAST_SENT)
+    per_size = np.float32(1.0 / (_LAMP_SIZE * view.lamp_height))
+    out = np.empty((rows, columns, len(lamps), _LAMP_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)
-    to = np.empty((5, columns), np.float32)
+    to = np.empty((6, columns), np.float32)
     # By lamp, several pixels are computed at once.
-    values = np.empty((LAMPS, _LAMP_VALUES, columns), np.float32)
+    values = np.empty((len(lamps), _LAMP_VALUES, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
         line = soft[row]
         y = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
-        for azimuth in range(AZIMUTHS):
-            up = ring * _TOWARDS[azimuth, 1] - y
-            _look_at(to, ahead, row, ring * _TOWARDS[azimuth, 0], up, view)
-            for height in range(len(HEIGHTS)):
-                lamp_z = np.float32(HEIGHTS[height] * view.lamp_height)
-                per_size = np.float32(1.0 / (_LAMP_SIZE * view.lamp_height))
-                lamp = values[azimuth * len(HEIGHTS) + height]
-                for column in range(columns):
-                    z = lamp_z + line[column]
-                    far = to[1, column] + z * z
-                    share = ring * ring / (far * np.float32(math.sqrt(far)))
-                    far = to[1, column] + lamp_z * lamp_z
-                    at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * lamp_z
-                    whole = positions[2, column] * to[0, column] + positions[3, column] * up + z
-                    # Where the ray over the highest point on the way meets the lamp.
-                    seen = half - (to[3, column] * to[4, column] - z) * per_size
-                    seen = seen if seen > zero else zero
-                    seen = seen if seen < unit else unit
-                    seen = share * seen if whole > zero else zero
-                    lamp[0, column], lamp[1, column] = seen * to[0, column], seen * up
-                    lamp[2, column], lamp[3, column] = seen * z, -at_rest
+        seen_from = -1
+        up = zero
+        for number in range(len(lamps)):
+            azimuth, height = lamps[number] // len(HEIGHTS), lamps[number] % len(HEIGHTS)
+            if azimuth != seen_from:
+                seen_from = azimuth
+                up = np.float32(ring * _TOWARDS[azimuth, 1] - y)
+                _look_at(to, ahead, row, azimuth, up, view)
+            lamp_z = np.float32(HEIGHTS[height] * view.lamp_height)
+            lamp = values[number]
+            for column in range(columns):
+                z = lamp_z + line[column]
+                far = to[1, column] + z * z
+                sent = unit - lobe + lobe * to[5, column] / far
+                share = ring * ring / (far * np.float32(math.sqrt(far))) * (sent if sent > least else least)
+                far = to[1, column] + lamp_z * lamp_z
+                sent = unit - lobe + lobe * to[5, column] / far
+                at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * (sent if sent > least else least)
+                whole = positions[2, column] * to[0, column] + positions[3, column] * up + z
+                # Where the ray over the highest point on the way meets the lamp.
+                seen = half - (to[3, column] * to[4, column] - z - fade) * per_size
+                seen = seen if seen > zero else zero
+                seen = seen if seen < unit else unit
+                seen = share * seen if whole > zero else zero
+                lamp[0, column], lamp[1, column] = seen * to[0, column], seen * up
+                lamp[2, column], lamp[3, column] = seen * z, -at_rest * lamp_z
         for column in range(columns):
             target = out[row, column]
             for k in range(len(values)):
@@ -197,7 +209,13 @@ def _interpolated(out: Float32, source: Float32, row: float, column: float) -> N
 
 @compiled
 def features(
-    soft: Float32, light: Float32, scale: float, view: SurfaceView, entries: Int64, shares: Float32
+    soft: Float32,
+    light: Float32,
+    scale: float,
+    view: SurfaceView,
+    lamps: Int64,
+    entries: Int64,
+    shares: Float32,
 ) -> None:
     """Write the entries that each pixel depends on, and their shares: 0 where the gel is at rest.
 
@@ -205,11 +223,11 @@ def features(
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
     pressed in; ``light`` its :func:`lamp_light` on a map that is smaller by ``scale``. ``entries`` and
-    ``shares`` have the shape (H W, ACTIVE).
+    ``shares`` have the shape (H W, SLOPED + n).
     """
     rows, columns = soft.shape
-    lamps = light.reshape(light.shape[0], light.shape[1], -1)
-    values = np.empty(lamps.shape[2], np.float32)
+    flat = light.reshape(light.shape[0], light.shape[1], -1)
+    values = np.empty(flat.shape[2], np.float32)
     positions = np.empty((4, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
@@ -228,14 +246,14 @@ def features(
                 shares[at, 2 * side] = share * (1.0 - far)
                 shares[at, 2 * side + 1] = share * far
             y, x = (row + 0.5) * scale - 0.5, (column + 0.5) * scale - 0.5
-            _interpolated(values, lamps, y, x)
+            _interpolated(values, flat, y, x)
             slope_x, slope_y = positions[2, column], positions[3, column]
             turned = np.float32(1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y))
-            for lamp in range(LAMPS):
+            for lamp in range(len(lamps)):
                 k = _LAMP_VALUES * lamp
                 whole = turned * (slope_x * values[k] + slope_y * values[k + 1] + values[k + 2])
-                entries[at, _SLOPED + lamp] = SLOPES * TERMS + lamp
-                shares[at, _SLOPED + lamp] = whole + values[k + 3]
+                entries[at, SLOPED + lamp] = SLOPES * TERMS + lamps[lamp]
+                shares[at, SLOPED + lamp] = whole + values[k + 3]
 
 
 @compiled
@@ -246,8 +264,9 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, terms: Float32,
     ridges.
     """
     columns = weights.shape[1]
-    values = np.empty(ACTIVE * TERMS)
-    unknowns = np.empty(ACTIVE * TERMS, np.int64)
+    active = entries.shape[1]
+    values = np.empty(active * TERMS)
+    unknowns = np.empty(active * TERMS, np.int64)
     for at in range(0, len(entries), 2):
         weight = 2.0 * weights[at // columns, at % columns]
         if weight <= 0.0:
@@ -256,11 +275,11 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, terms: Float32,
         # In the order of the entries: the direction after the last one is the first.
         begin = 0 if entries[at, 0] <= entries[at, 2] else 2
         count = 0
-        for number in range(ACTIVE):
-            k = (begin + number) % _SLOPED if number < _SLOPED else number
+        for number in range(active):
+            k = (begin + number) % SLOPED if number < SLOPED else number
             if shares[at, k] == 0.0:
                 continue
-            for term in range(TERMS if number < _SLOPED else 1):
+            for term in range(TERMS if number < SLOPED else 1):
                 values[count] = shares[at, k] * here[term]
                 unknowns[count] = entries[at, k] + term
                 count += 1
@@ -278,10 +297,10 @@ def add_products(out: Float64, entries: Int64, shares: Float32, terms: Float32, 
     for at in range(len(entries)):
         line = values[at // columns, at % columns]
         here = terms[at // columns, at % columns]
-        for k in range(ACTIVE):
+        for k in range(entries.shape[1]):
             if shares[at, k] == 0.0:
                 continue
-            for term in range(TERMS if k < _SLOPED else 1):
+            for term in range(TERMS if k < SLOPED else 1):
                 share = shares[at, k] * here[term]
                 total = out[entries[at, k] + term]
                 for column in range(many):
@@ -289,15 +308,15 @@ def add_products(out: Float64, entries: Int64, shares: Float32, terms: Float32, 
 
 
 @part
-def _coloured(light: Float32, table: Float32) -> Float32:
-    """Return the light of all lamps in colours, (h, w, 16): four values of light by four of colour."""
-    rows, columns, lamps, _ = light.shape
+def _coloured(light: Float32, table: Float32, lamps: Int64) -> Float32:
+    """Return the light of some lamps in colours, (h, w, 16): four values of light by four of colour."""
+    rows, columns, _, _ = light.shape
     out = np.zeros((rows, columns, 4 * _LAMP_VALUES), np.float32)
     for row in range(rows):
         for column in range(columns):
             total = out[row, column]
-            for lamp in range(lamps):
-                colour, values = table[SLOPES + lamp], light[row, column, lamp]
+            for lamp in range(len(lamps)):
+                colour, values = table[SLOPES + lamps[lamp]], light[row, column, lamp]
                 for m in range(_LAMP_VALUES):
                     for k in range(4):
                         total[4 * m + k] += values[m] * colour[k]
@@ -313,16 +332,17 @@ def render_response(
     view: SurfaceView,
     terms: Float32,
     table: Float32,
+    lamps: Int64,
 ) -> None:
     """Write the response (H, W, 3) of a surface (H, W), from its coefficients.
 
-    ``light`` and ``scale`` are those of :func:`features`; ``terms`` (H, W, TERMS) those of each pixel;
-    ``table`` (ENTRIES, ENTRY_VALUES) has the terms of each entry. Pixels at rest are 0.
+    ``light``, ``scale`` and ``lamps`` are those of :func:`features`; ``terms`` (H, W, TERMS) those of each
+    pixel; ``table`` (ENTRIES, ENTRY_VALUES) has the terms of each entry. Pixels at rest are 0.
     """
     rows, columns = soft.shape
     high, wide = light.shape[:2]
     unit, zero = np.float32(1.0), np.float32(0.0)
-    lit = _coloured(light, table)
+    lit = _coloured(light, table, lamps)
     shone = np.empty(lit.shape[1:], np.float32)
     lines = np.empty((SLOPES, _LINE_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)

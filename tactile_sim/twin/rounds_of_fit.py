@@ -20,6 +20,7 @@ _CONTACT = 0.6
 _BLUR_M = 6e-5
 _LAMP_DISTANCE = 1.28  # 15 mm for a GelSight Mini
 _LAMP_HEIGHT = 0.3
+_LOBE = 0.5  # between lamps that send light evenly, and diodes
 _RISE = 0.15  # between that of gels that are pulled down, and that of elastic ones, 0.5 to 0.8
 # Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
@@ -62,7 +63,7 @@ def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | Non
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
     of_gel = (start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT)
-    shape = np.array([0.0, 0.0, *of_gel, _BLUR_M, 0.0, _RISE, 0.0, _LAMP_DISTANCE, _LAMP_HEIGHT])
+    shape = np.array([0.0, 0.0, *of_gel, _BLUR_M, 0.0, _RISE, 0.0, _LAMP_DISTANCE, _LAMP_HEIGHT, _LOBE, 0.0])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
     poses = np.column_stack([positions, np.zeros(count)])
@@ -87,6 +88,7 @@ def run_coarse(fit: Fit, steps: Steps) -> float:
     """
     # Without gains: as long as touches are not explained, their shadows look like another light.
     _run_round(fit, steps, _COARSE_ROUND, FIRST_DRIFT)
+    fit.choose_lamps()
     known = fit.used & (fit.spread[:, 3] < _UNKNOWN_PRESS_M)
     moved_m = fit.poses[known, 3]
     return float(np.std(moved_m)) if known.sum() > 1 else 0.0

@@ -27,7 +27,7 @@ class Twin:
 
     Attributes
     ----------
-    shape : ndarray of float64, shape (12,)
+    shape : ndarray of float64, shape (14,)
         Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first value is 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.

@@ -31,7 +31,8 @@ class SurfaceView(NamedTuple):
     The fields are the size of a pixel, metres; the share of the image that is shown, along x and y; the
     radial term of the lens; the squared width of the image over its squared diagonal; one over the distance
     of the camera, 1 / metres; the distance of lamps from the middle, and the height of which theirs are
-    multiples, metres.
+    multiples, metres; the share of their light that lamps do not send sideways; and how far above the middle
+    of a lamp lies what hides half of it, metres.
     """
 
     pitch_x: float
@@ -43,6 +44,8 @@ class SurfaceView(NamedTuple):
     camera: float
     ring: float
     lamp_height: float
+    lobe: float
+    fade: float
 
 
 @part

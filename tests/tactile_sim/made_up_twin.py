@@ -12,7 +12,7 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.twin import Twin
 
 HALF_M = np.array([0.00944, 0.00708])
-SHAPE = np.array([0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4, 0.0, 0.2, 0.0, 1.28, 0.4])
+SHAPE = np.array([0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4, 0.0, 0.2, 0.0, 1.28, 0.4, 0.3, 0.1])
 
 
 def made_up_twin(seed: int = 0) -> Twin:

@@ -95,18 +95,30 @@ def lamps_of(soft: np.ndarray, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     lamps = ring * np.stack([np.cos(turn), np.sin(turn), height], axis=1)
     y, x = np.mgrid[(rows - 1) / 2 : -rows / 2 : -1, -(columns - 1) / 2 : columns / 2] * pitch
     pixels = np.stack([x, y, -soft.astype(float)], axis=2)
-    return (lamps - pixels[:, :, None]) / ring, shares[:, 4:].reshape(rows, columns, -1)
+    return (lamps - pixels[:, :, None]) / ring, shares[:, gel_kernels.SLOPED :].reshape(rows, columns, -1)
+
+
+def sent(to: np.ndarray) -> np.ndarray:
+    """The light that lamps, which face the middle, send to pixels, over that ahead, (H, W, lamps)."""
+    turn = np.repeat(np.arange(gel_kernels.AZIMUTHS), len(gel_kernels.HEIGHTS)) * 2 * np.pi
+    turn = turn / gel_kernels.AZIMUTHS
+    ahead = to[..., 0] * np.cos(turn) + to[..., 1] * np.sin(turn)
+    sine = np.sqrt(1 - ahead**2 / (to**2).sum(axis=-1))
+    return 1 - SHAPE[Fitted.LOBE] * sine**2
 
 
 def at_rest(to: np.ndarray, soft: np.ndarray, pitch: float) -> np.ndarray:
     """The light of lamps on gel at rest, (H, W, lamps), from the vectors of :func:`lamps_of`."""
     ring = SHAPE[Fitted.LAMP_DISTANCE] * np.hypot(*soft.shape) * pitch / 2
     level = to + np.array([0.0, 0.0, 1.0]) * (-soft.astype(float) / ring)[:, :, None, None]
-    return level[..., 2] / np.linalg.norm(level, axis=-1) ** 3
+    return sent(level) * level[..., 2] / np.linalg.norm(level, axis=-1) ** 3
 
 
 def test_lamps_shine_as_lamberts_law_says():
-    """On slopes without shadows, light is the cosine over the square of the distance, less that at rest."""
+    """On slopes without shadows, light is the cosine over the square of the distance, less that at rest.
+
+    Lamps send less of it to the side.
+    """
     pitch = 3e-4
     y, x = np.mgrid[-1:1:48j, -1:1:64j]
     soft = np.float32(-4e-4 * np.exp(-2 * (x - 0.2) ** 2 - 3 * (y + 0.1) ** 2))
@@ -114,7 +126,7 @@ def test_lamps_shine_as_lamberts_law_says():
     down, right = np.gradient(-soft.astype(float), pitch)
     normal = np.stack([-right, down, np.ones_like(down)], axis=2)
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-    light = np.einsum("hwi,hwli->hwl", normal, to) / np.linalg.norm(to, axis=-1) ** 3
+    light = np.einsum("hwi,hwli->hwl", normal, to) / np.linalg.norm(to, axis=-1) ** 3 * sent(to)
     expected = light - at_rest(to, soft, pitch)
     inside = (slice(2, -2), slice(2, -2))
     assert np.abs(expected[inside]).max() > 0.1
@@ -149,8 +161,8 @@ def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
     light = []
     for surface in (soft, np.pad(soft, 80, mode="edge")):
         view = gel.view_of(surface.shape, np.array([2e-5, 3e-5]), without(SHAPE, Fitted.LENS))
-        near = view._replace(ring=1e-3, lamp_height=4e-4)
-        light.append(gel_kernels.lamp_light(surface, near, np.geomspace(1e-4, 6e-3, 5)))
+        near = view._replace(ring=1e-3, lamp_height=4e-4, fade=4e-5)
+        light.append(gel_kernels.lamp_light(surface, near, np.geomspace(1e-4, 6e-3, 5), np.arange(9)))
     small, inner = light[0][1:-1, 1:-1], light[1][81:-81, 81:-81]  # slopes at an edge are those of one side
     assert np.ptp(small[..., 3]) > 0.5
     assert small == pytest.approx(inner, abs=1e-3)
@@ -209,7 +221,7 @@ def test_shrunk_images_are_means_over_blocks(sides: tuple[int, ...], factor: int
 def test_a_gel_at_rest_does_not_respond():
     """Where the gel is level, there are no shares, and the kernel of the optics writes zeros."""
     entries, shares = gel.surface_features(np.zeros((20, 30), np.float32), np.array([1e-4, 1e-4]), SHAPE)
-    assert entries.shape == (600, gel_kernels.ACTIVE)
+    assert entries.shape == (600, gel_kernels.SLOPED + gel_kernels.LAMPS)
     assert not shares.any()
 
 

@@ -22,9 +22,9 @@ from tactile_toolkit.mesh import Mesh
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import Array, HiddenSensor
 
-VARIANTS = ("base", "far", "discs", "mutual", "wander", "shrunk", "all")
-"""One effect of each: none, a camera far away, lamps that are discs, inter-reflection, white balance, small
-prints; and the last three of them together."""
+VARIANTS = ("base", "far", "diodes", "mutual", "wander", "shrunk", "all")
+"""One effect of each: none, a camera far away, diodes, which are discs that face the middle,
+inter-reflection, white balance, small prints; and the last three of them together."""
 
 _POINTS_MM = (-5.0, 0.0, 5.0)  # of a row of lamps, from its middle
 _SHADOW_MM = np.geomspace(0.15, 9.0, 20)  # distances at which rays to the lamps are tested
@@ -39,7 +39,7 @@ class ThirdSensor(HiddenSensor):
 
     ``mutual`` is the share of light that slopes receive from each other, ``wander`` the standard deviation of
     the gains of a frame, and ``shrinkage`` that of the prints. Lamps are points, or discs with the radius
-    ``lamp_mm``.
+    ``lamp_mm``. Their light falls off with the power ``lobe`` of the cosine of the angle to where they face.
     """
 
     camera_mm: float = 36.0
@@ -49,6 +49,7 @@ class ThirdSensor(HiddenSensor):
     wander: float = 0.0
     shrinkage: float = 0.0
     lamp_mm: float = 0.0
+    lobe: float = 0.0
 
     def record(
         self, solids: Mapping[int, Mesh], touches: int = 20, seed: int = 0, *args: Any, **options: Any
@@ -96,7 +97,8 @@ class ThirdSensor(HiddenSensor):
                 to = np.stack([lamp_x - x, lamp_y - y, height - gel_mm], axis=2)
                 far = np.linalg.norm(to, axis=2)
                 light = np.maximum((normal * to).sum(axis=2), 0) * (self.gel_mm + distance) ** 2 / far**3
-                light = light * self._lit(gel_mm, to)
+                ahead = to[..., 0] * np.cos(direction) + to[..., 1] * np.sin(direction)
+                light = light * np.maximum(ahead / far, 0) ** self.lobe * self._lit(gel_mm, to)
                 shown += light[..., None] * np.array([red, green, blue]) / len(_POINTS_MM)
         if self.mutual:
             tilt = 1 - normal[..., 2:]
@@ -188,5 +190,6 @@ def draw_third(seed: int, variant: str = "base", size_px: tuple[int, int] = (160
         mutual=0.25 * (variant == "mutual" or of_all) * float(rng.uniform(0.7, 1.3)),
         wander=0.03 * (variant == "wander" or of_all),
         shrinkage=0.005 * (variant == "shrunk" or of_all),
-        lamp_mm=0.7 * (variant == "discs"),
+        lamp_mm=0.7 * (variant == "diodes"),
+        lobe=1.5 * (variant == "diodes"),
     )
