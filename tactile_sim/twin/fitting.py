@@ -28,28 +28,9 @@ if TYPE_CHECKING:
 _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives by geometry and pose; expected deviations from the guess.
-_STEPS = np.array(
-    [
-        0.004,
-        0.01,
-        3e-5,
-        5e-5,
-        1.5e-5,
-        0.03,
-        2e-5,
-        2.0,
-        0.05,
-        -0.004,
-        0.04,
-        0.02,
-        0.05,
-        0.02,
-        6e-5,
-        6e-5,
-        0.008,
-        3e-5,
-    ]
-)
+_SHAPE_STEPS = 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5, 2.0, 0.05, -0.004, 0.04, 0.02, 0.05, 0.02
+_POSE_STEPS = 6e-5, 6e-5, 0.008, 3e-5
+_STEPS = np.array([*_SHAPE_STEPS, *_POSE_STEPS])
 _SHAPE_SPREAD = np.array([0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5, 40.0, 0.5, 0.015, 0.3, 0.15, 0.5, 0.1])
 _OUTLIER = 4.0  # residuals beyond this multiple of the noise weigh little: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
