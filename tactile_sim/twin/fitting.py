@@ -384,7 +384,7 @@ class Fit:
         sums = _Sums(len(self.poses))
         for touch in np.flatnonzero(self.used).tolist():
             self._add(sums, touch, ())
-        light = sums.lamp_light(self)
+        light = sums.brightness(self)
         is_dark = (light < _DARK * light.max()).all(axis=1)
         self.lamps = np.flatnonzero(~is_dark)
         self.coefficients[-gel_kernels.LAMPS :][is_dark] = 0.0
@@ -474,8 +474,8 @@ class _Sums:
             self.moves[np.ix_(unknowns, unknowns)] += square[1:, 1:]
             self.slope[unknowns] += square[1:, 0]
 
-    def lamp_light(self, fit: Fit) -> Float64:
-        """Return the light of each lamp in each colour, (LAMPS, 3), that is not negative and fits best."""
+    def brightness(self, fit: Fit) -> Float64:
+        """Return how bright each lamp is in each colour, (LAMPS, 3), that is not negative and fits best."""
         normal = self.full()
         wanted = self.products[:, 0] + normal @ fit.coefficients
         normal += fit.ridge * self.scale * fit.penalty

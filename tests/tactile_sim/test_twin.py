@@ -271,7 +271,7 @@ def test_a_sensor_with_near_lamps_an_elastic_gel_and_a_near_camera_is_met(varian
     sensor = draw_third(101, variant)
     made, model = score(sensor, held_out=4)
     assert not model.report["mistakes"]
-    # A fit that cannot make shadows of diodes long enough presses solids 0.1 mm too deep.
+    # A fit that cannot make shadows long enough presses solids deeper.
     true_m = sensor.record(digits(4, TRAIN_DIGITS), 20, seed=0).press_m
     assert abs(np.mean([touch["press_m"] for touch in model.report["touches"]] - true_m)) < 5e-5
     assert made.image_error <= 1.3
