@@ -154,6 +154,30 @@ def test_light_is_lost_behind_what_rises_above_the_ray_of_a_lamp():
         assert shares[row, foot + 2 :, height] == pytest.approx(0.0, abs=1e-3)  # of the lamp on the right
 
 
+@pytest.mark.parametrize("fade_m", [-8e-4, 0.0, 8e-4])
+def test_half_of_a_lamp_is_hidden_by_what_reaches_its_fade_above_its_middle(fade_m: float):
+    """Shadows of a wall begin farther away, or nearer, than on the ray from its edge to the lamp."""
+    rows, columns, pitch, foot, wall_m = 21, 96, 1e-4, 30, 1.2e-3
+    soft = np.zeros((rows, columns), np.float32)
+    soft[:, :foot] = -wall_m
+    view = gel.view_of(soft.shape, np.full(2, pitch), without(SHAPE, Fitted.LENS))
+    view = view._replace(ring=0.012, lamp_height=4e-3, fade=fade_m)
+    reaches_m = pitch * np.arange(1, 80)
+    height = 3
+    lamp = np.array([gel_kernels.AZIMUTHS // 2 * len(gel_kernels.HEIGHTS) + height])  # behind the wall
+    walled, bare = (
+        gel_kernels.lamp_light(surface, view, reaches_m, lamp)[rows // 2, foot + 1 : -1, 0, 2]
+        for surface in (soft, np.zeros_like(soft))
+    )
+    column = np.arange(foot + 1, columns - 1)
+    from_lamp_m = 0.012 + (column - (columns - 1) / 2) * pitch
+    over_m = (
+        wall_m * from_lamp_m / ((column - foot + 1) * pitch)
+    )  # where the ray over the edge meets the lamp
+    half_m = np.interp(0.5, walled / bare, over_m)
+    assert half_m == pytest.approx(gel_kernels.HEIGHTS[height] * 4e-3 + fade_m, abs=1.5e-4)
+
+
 def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
     """A window that is smaller than the reach of a shadow needs no map of that size."""
     rng = np.random.default_rng(0)
