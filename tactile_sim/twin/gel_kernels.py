@@ -139,6 +139,17 @@ def _look_at(to: Float32, ahead: Float32, row: int, azimuth: int, up: np.float32
         to[5, column] = in_front * in_front
 
 
+@part
+def _strength(far: np.float32, in_front: np.float32, ring: np.float32, lobe: np.float32) -> np.float32:
+    """Return the light of a lamp from squared distances: the whole one, and that in front of the lamp.
+
+    Times the vector to the lamp, it is the light that a gel gets from each direction.
+    """
+    unit, least = np.float32(1.0), np.float32(_LEAST_SENT)
+    sent = unit - lobe + lobe * in_front / far
+    return ring * ring / (far * np.float32(math.sqrt(far))) * (sent if sent > least else least)
+
+
 @compiled
 def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64, lamps: Int64) -> Float32:
     """Return the light of some lamps on a surface, (H, W, n, 4); it is 1 as far away as the ring is wide.
@@ -149,7 +160,7 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64, lamps: Int64)
     rows, columns = soft.shape
     ahead = _horizons(soft, view, reaches)
     ring, lobe, fade = np.float32(view.ring), np.float32(view.lobe), np.float32(view.fade)
-    unit, half, zero, least = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(_LEAST_SENT)
+    unit, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     per_size = np.float32(1.0 / (_LAMP_SIZE * view.lamp_height))
     out = np.empty((rows, columns, len(lamps), _LAMP_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)
@@ -173,11 +184,9 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64, lamps: Int64)
             for column in range(columns):
                 z = lamp_z + line[column]
                 far = to[1, column] + z * z
-                sent = unit - lobe + lobe * to[5, column] / far
-                share = ring * ring / (far * np.float32(math.sqrt(far))) * (sent if sent > least else least)
+                share = _strength(far, to[5, column], ring, lobe)
                 far = to[1, column] + lamp_z * lamp_z
-                sent = unit - lobe + lobe * to[5, column] / far
-                at_rest = ring * ring / (far * np.float32(math.sqrt(far))) * (sent if sent > least else least)
+                at_rest = lamp_z * _strength(far, to[5, column], ring, lobe)
                 whole = positions[2, column] * to[0, column] + positions[3, column] * up + z
                 # Where the ray over the highest point on the way meets the lamp.
                 seen = half - (to[3, column] * to[4, column] - z - fade) * per_size
@@ -185,7 +194,7 @@ def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64, lamps: Int64)
                 seen = seen if seen < unit else unit
                 seen = share * seen if whole > zero else zero
                 lamp[0, column], lamp[1, column] = seen * to[0, column], seen * up
-                lamp[2, column], lamp[3, column] = seen * z, -at_rest * lamp_z
+                lamp[2, column], lamp[3, column] = seen * z, -at_rest
         for column in range(columns):
             target = out[row, column]
             for k in range(len(values)):
