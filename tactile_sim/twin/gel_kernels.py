@@ -42,6 +42,9 @@ LAMPS = AZIMUTHS * len(HEIGHTS)
 ALL_LAMPS = np.arange(LAMPS)
 """The number of each lamp; those of one direction follow each other."""
 
+FEW_LAMPS = ALL_LAMPS.reshape(AZIMUTHS, -1)[::4, [1, 4]].ravel()
+"""Numbers of the lamps of four directions in two heights."""
+
 # Values of the light of a lamp: factors of the normal of the gel along x, y and z, and what is added.
 _LAMP_VALUES = 4
 _LAMP_SIZE = 0.33  # of a lamp from its lower to its upper end, over the height that is fitted

@@ -185,7 +185,9 @@ def _near_solids(fit: Fit, near: Float64) -> Float64:
 
 
 def _set_width(fit: Fit, width_px: int) -> None:
+    """Shrink the images, and light them by few lamps: to few touches, many lamps fit shadows at random."""
     fit.set_shrink(max(1, fit.recordings.size_px[0] // width_px))
+    fit.lamps = gel_kernels.FEW_LAMPS
 
 
 def _search(
