@@ -141,6 +141,7 @@ def matched_poses(
     steps.total += _STEPS
     count = len(recordings)
     fit = start_fit(recordings, np.zeros((count, 3)), None, start)
+    fit.lamps = gel_kernels.FEW_LAMPS  # to five touches, all of them fit shadows at random
     if near is not None:
         near = _near_solids(fit, near)
     press_m = start.gel_mm / 1e3 - start.press_m
@@ -185,9 +186,7 @@ def _near_solids(fit: Fit, near: Float64) -> Float64:
 
 
 def _set_width(fit: Fit, width_px: int) -> None:
-    """Shrink the images, and light them by few lamps: to few touches, many lamps fit shadows at random."""
     fit.set_shrink(max(1, fit.recordings.size_px[0] // width_px))
-    fit.lamps = gel_kernels.FEW_LAMPS
 
 
 def _search(
