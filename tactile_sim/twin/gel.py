@@ -306,7 +306,10 @@ def _lamp_light(
         soft = surface_kernels.halved(soft)
         scale /= 2
     view = view_of(soft.shape, pitch_m / scale, shape, span)
-    return gel_kernels.lamp_light(soft, view, _REACHES_M, lamps), scale
+    # Back through the lens, to first order: light goes straight, and a camera sees the tops of walls moved.
+    back = np.where(np.isin(np.arange(len(shape)), (Fitted.LENS, Fitted.CAMERA)), -shape, shape)
+    flat = seen_through(soft, pitch_m / scale, back, span=span)
+    return gel_kernels.lamp_light(soft, flat, view, _REACHES_M, lamps), scale
 
 
 def response_table(coefficients: Floating) -> Float32:

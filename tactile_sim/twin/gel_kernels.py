@@ -116,30 +116,69 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
 
 
 @part
-def _look_at(to: Float32, ahead: Float32, row: int, azimuth: int, up: np.float32, view: SurfaceView) -> None:
-    """Write how far a lamp is from the pixels of a row, (6, W).
+def _place_row(places: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
+    """Write x and y on the gel of the points that a row of pixels sees, metres from the middle, (2, W)."""
+    rows, columns = soft.shape
+    unit = np.float32(1.0)
+    lens, camera = np.float32(view.lens), np.float32(view.camera)
+    across, down = np.float32(view.across), np.float32(1.0 - view.across)
+    from_left, width = np.float32(0.5 - 0.5 * columns), np.float32(view.pitch_x)
+    up = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
+    v = row_y(row, rows, view)
+    for column in range(columns):
+        u = column_x(column, columns, view)
+        stretch = unit + lens * (across * u * u + down * v * v)
+        stretch = stretch * (unit + camera * soft[row, column])
+        places[0, column] = stretch * width * (column + from_left)
+        places[1, column] = stretch * up
 
-    The rows are the distance along x, the squared distance along the gel, the direction in steps of
-    ``AZIMUTHS``, how steeply the gel rises on the way, between the directions of ``ahead``, the distance
-    along the gel, and the square of the distance in front of the lamp.
+
+@part
+def _ahead_of(out: Float32, ahead: Float32, places: Float32, view: SurfaceView) -> None:
+    """Write :func:`_horizons` at places on the gel (2, W), (AZIMUTHS, W), bilinearly."""
+    _, rows, columns = ahead.shape
+    unit = np.float32(1.0)
+    per_x, per_y = np.float32(1.0 / view.pitch_x), np.float32(1.0 / view.pitch_y)
+    middle_x, middle_y = np.float32(0.5 * columns - 0.5), np.float32(0.5 * rows - 0.5)
+    for column in range(columns):
+        x = min(max(places[0, column] * per_x + middle_x, np.float32(0.0)), np.float32(columns - 1.0))
+        y = min(max(middle_y - places[1, column] * per_y, np.float32(0.0)), np.float32(rows - 1.0))
+        i, j = min(int(x), columns - 2), min(int(y), rows - 2)
+        right, below = x - np.float32(i), y - np.float32(j)
+        left, above = unit - right, unit - below
+        for azimuth in range(AZIMUTHS):
+            upper, lower = ahead[azimuth, j], ahead[azimuth, j + 1]
+            out[azimuth, column] = above * (left * upper[i] + right * upper[i + 1])
+            out[azimuth, column] += below * (left * lower[i] + right * lower[i + 1])
+
+
+@part
+def _look_at(to: Float32, ahead: Float32, places: Float32, azimuth: int, view: SurfaceView) -> None:
+    """Write how far a lamp is from places on the gel (2, W), (7, W).
+
+    The rows are the distances along x and y, the squared distance along the gel, the direction in steps of
+    ``AZIMUTHS``, how steeply the gel rises on the way, between the directions of ``ahead`` (AZIMUTHS, W), the
+    distance along the gel, and the square of the distance in front of the lamp.
     """
-    columns = ahead.shape[2]
-    unit, width = np.float32(1.0), np.float32(view.pitch_x)
+    unit = np.float32(1.0)
     per_turn = np.float32(AZIMUTHS / TURNS)
-    from_left = np.float32(0.5 - 0.5 * columns)
-    lamp_x = np.float32(view.ring * _TOWARDS[azimuth, 0])
-    for column in range(columns):
-        across = lamp_x - width * (column + from_left)
-        to[0, column], to[1, column] = across, across * across + up * up
-        to[2, column] = turn_of(across, up) * per_turn
-    for column in range(columns):
-        first = int(to[2, column])
-        part = to[2, column] - np.float32(first)
+    lamp_x, lamp_y = (
+        np.float32(view.ring * _TOWARDS[azimuth, 0]),
+        np.float32(view.ring * _TOWARDS[azimuth, 1]),
+    )
+    for column in range(places.shape[1]):
+        across, up = lamp_x - places[0, column], lamp_y - places[1, column]
+        to[0, column], to[1, column] = across, up
+        to[2, column] = across * across + up * up
+        to[3, column] = turn_of(across, up) * per_turn
+    for column in range(places.shape[1]):
+        first = int(to[3, column])
+        part = to[3, column] - np.float32(first)
         second = first + 1 if first < AZIMUTHS - 1 else 0
-        to[3, column] = (unit - part) * ahead[first, row, column] + part * ahead[second, row, column]
-        to[4, column] = np.float32(math.sqrt(to[1, column]))
-        in_front = to[0, column] * _TOWARDS[azimuth, 0] + up * _TOWARDS[azimuth, 1]
-        to[5, column] = in_front * in_front
+        to[4, column] = (unit - part) * ahead[first, column] + part * ahead[second, column]
+        to[5, column] = np.float32(math.sqrt(to[2, column]))
+        in_front = to[0, column] * _TOWARDS[azimuth, 0] + to[1, column] * _TOWARDS[azimuth, 1]
+        to[6, column] = in_front * in_front
 
 
 @part
@@ -154,49 +193,52 @@ def _strength(far: np.float32, in_front: np.float32, ring: np.float32, lobe: np.
 
 
 @compiled
-def lamp_light(soft: Float32, view: SurfaceView, reaches: Float64, lamps: Int64) -> Float32:
+def lamp_light(soft: Float32, flat: Float32, view: SurfaceView, reaches: Float64, lamps: Int64) -> Float32:
     """Return the light of some lamps on a surface, (H, W, n, 4); it is 1 as far away as the ring is wide.
 
-    ``lamps`` (n,) are numbers of :data:`ALL_LAMPS`. The first three values times the normal of the gel are
-    the light that shadows leave; the last one is the light at rest, negative.
+    ``soft`` (H, W) is the surface as the camera sees it, ``flat`` (H, W) the same as seen from far away
+    without a lens, which casts the shadows. ``lamps`` (n,) are numbers of :data:`ALL_LAMPS`. The first three
+    values times the normal of the gel are the light that shadows leave; the last one is the light at rest,
+    negative.
     """
     rows, columns = soft.shape
-    ahead = _horizons(soft, view, reaches)
+    ahead = _horizons(flat, view, reaches)
     ring, lobe, fade = np.float32(view.ring), np.float32(view.lobe), np.float32(view.fade)
     unit, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     per_size = np.float32(1.0 / (_LAMP_SIZE * view.lamp_height))
     out = np.empty((rows, columns, len(lamps), _LAMP_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)
-    to = np.empty((6, columns), np.float32)
+    places = np.empty((2, columns), np.float32)
+    ahead_here = np.empty((AZIMUTHS, columns), np.float32)
+    to = np.empty((7, columns), np.float32)
     # By lamp, several pixels are computed at once.
     values = np.empty((len(lamps), _LAMP_VALUES, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
+        _place_row(places, soft, row, view)
+        _ahead_of(ahead_here, ahead, places, view)
         line = soft[row]
-        y = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
         seen_from = -1
-        up = zero
         for number in range(len(lamps)):
             azimuth, height = lamps[number] // len(HEIGHTS), lamps[number] % len(HEIGHTS)
             if azimuth != seen_from:
                 seen_from = azimuth
-                up = np.float32(ring * _TOWARDS[azimuth, 1] - y)
-                _look_at(to, ahead, row, azimuth, up, view)
+                _look_at(to, ahead_here, places, azimuth, view)
             lamp_z = np.float32(HEIGHTS[height] * view.lamp_height)
             lamp = values[number]
             for column in range(columns):
                 z = lamp_z + line[column]
-                far = to[1, column] + z * z
-                share = _strength(far, to[5, column], ring, lobe)
-                far = to[1, column] + lamp_z * lamp_z
-                at_rest = lamp_z * _strength(far, to[5, column], ring, lobe)
-                whole = positions[2, column] * to[0, column] + positions[3, column] * up + z
+                far = to[2, column] + z * z
+                share = _strength(far, to[6, column], ring, lobe)
+                far = to[2, column] + lamp_z * lamp_z
+                at_rest = lamp_z * _strength(far, to[6, column], ring, lobe)
+                whole = positions[2, column] * to[0, column] + positions[3, column] * to[1, column] + z
                 # Where the ray over the highest point on the way meets the lamp.
-                seen = half - (to[3, column] * to[4, column] - z - fade) * per_size
+                seen = half - (to[4, column] * to[5, column] - z - fade) * per_size
                 seen = seen if seen > zero else zero
                 seen = seen if seen < unit else unit
                 seen = share * seen if whole > zero else zero
-                lamp[0, column], lamp[1, column] = seen * to[0, column], seen * up
+                lamp[0, column], lamp[1, column] = seen * to[0, column], seen * to[1, column]
                 lamp[2, column], lamp[3, column] = seen * z, -at_rest
         for column in range(columns):
             target = out[row, column]

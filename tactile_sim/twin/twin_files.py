@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.value_types import AnyArray
 
 SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
-_FORMAT, _VERSION = "tactile-sim sensor", 9
+_FORMAT, _VERSION = "tactile-sim sensor", 10
 _MAX_BYTES = 1 << 22
 _MAX_PIXELS = 1280 * 1280
 _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels")

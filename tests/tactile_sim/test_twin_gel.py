@@ -166,7 +166,7 @@ def test_half_of_a_lamp_is_hidden_by_what_reaches_its_fade_above_its_middle(fade
     height = 3
     lamp = np.array([gel_kernels.AZIMUTHS // 2 * len(gel_kernels.HEIGHTS) + height])  # behind the wall
     walled, bare = (
-        gel_kernels.lamp_light(surface, view, reaches_m, lamp)[rows // 2, foot + 1 : -1, 0, 2]
+        gel_kernels.lamp_light(surface, surface, view, reaches_m, lamp)[rows // 2, foot + 1 : -1, 0, 2]
         for surface in (soft, np.zeros_like(soft))
     )
     column = np.arange(foot + 1, columns - 1)
@@ -186,7 +186,9 @@ def test_light_is_lost_in_small_windows_as_if_their_edge_went_on():
     for surface in (soft, np.pad(soft, 80, mode="edge")):
         view = gel.view_of(surface.shape, np.array([2e-5, 3e-5]), without(SHAPE, Fitted.LENS))
         near = view._replace(ring=1e-3, lamp_height=4e-4, fade=4e-5)
-        light.append(gel_kernels.lamp_light(surface, near, np.geomspace(1e-4, 6e-3, 5), np.arange(9)))
+        light.append(
+            gel_kernels.lamp_light(surface, surface, near, np.geomspace(1e-4, 6e-3, 5), np.arange(9))
+        )
     small, inner = light[0][1:-1, 1:-1], light[1][81:-81, 81:-81]  # slopes at an edge are those of one side
     assert np.ptp(small[..., 3]) > 0.5
     assert small == pytest.approx(inner, abs=1e-3)
@@ -211,6 +213,32 @@ def test_slopes_that_a_camera_sees_are_those_of_the_gel(value: Fitted, size: flo
     assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() < 0.02
     _, shares = gel.surface_features(seen, pitch_m, flat)  # without the correction
     assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() > 0.05
+
+
+@pytest.mark.parametrize(("value", "size"), [(Fitted.LENS, 0.06), (Fitted.CAMERA, 28.0)])
+def test_shadows_fall_as_on_the_gel_however_a_camera_sees_it(value: Fitted, size: float):
+    """Light goes straight: pixels have the light of the points that they see, though walls look moved."""
+    pitch_m, margin = np.full(2, 1.2e-4), 12
+    row, column = np.mgrid[-47.5:48, -59.5:60]
+    away_m = 1.2e-4 * np.hypot(column, 1.3 * row)
+    hill = (-1.2e-3 * np.exp(-0.5 * ((away_m - 3.6e-3) / 7e-4) ** 2)).astype(np.float32)
+    straight, bent = without(SHAPE, Fitted.LENS), without(SHAPE, Fitted.LENS)
+    bent[value] = size
+    lamps = gel_kernels.ALL_LAMPS[::7]
+    seen = gel.seen_through(hill, pitch_m, bent, margin)
+    on_gel, _ = gel._lamp_light(hill[12:-12, 12:-12].copy(), pitch_m, straight, lamps)
+    light, _ = gel._lamp_light(seen, pitch_m, bent, lamps)
+    row, column = np.mgrid[-35.5:36, -47.5:48]
+    bend = 1 + bent[Fitted.LENS] * (row * row + column * column) / 60**2
+    bend = bend * (1 + bent[Fitted.CAMERA] * seen)
+    at = [row * bend + 35.5, column * bend + 47.5]
+    expected = [ndimage.map_coordinates(on_gel[..., k, 2], at, order=1) for k in range(len(lamps))]
+    inside = (slice(8, -8), slice(8, -8))
+    off, seen_off = (
+        np.abs(values[..., 2] - np.stack(expected, axis=2))[inside].mean()
+        for values in (light, gel._lamp_light(seen, pitch_m, straight, lamps)[0])
+    )
+    assert off < 0.5 * seen_off
 
 
 def test_entries_of_a_slope_follow_its_direction_and_steepness():
