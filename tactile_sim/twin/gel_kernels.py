@@ -19,6 +19,7 @@ from tactile_sim.twin.view_kernels import (
     STEPS,
     TURNS,
     SurfaceView,
+    bend_at,
     column_x,
     row_positions,
     row_y,
@@ -116,33 +117,32 @@ def _horizons(soft: Float32, view: SurfaceView, reaches: Float64) -> Float32:
 
 
 @part
-def _place_row(places: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
+def _points_of_row(points: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
     """Write x and y on the gel of the points that a row of pixels sees, metres from the middle, (2, W)."""
     rows, columns = soft.shape
     unit = np.float32(1.0)
     lens, camera = np.float32(view.lens), np.float32(view.camera)
-    across, down = np.float32(view.across), np.float32(1.0 - view.across)
+    across = np.float32(view.across)
     from_left, width = np.float32(0.5 - 0.5 * columns), np.float32(view.pitch_x)
     up = np.float32(view.pitch_y * (0.5 * rows - row - 0.5))
     v = row_y(row, rows, view)
     for column in range(columns):
         u = column_x(column, columns, view)
-        stretch = unit + lens * (across * u * u + down * v * v)
-        stretch = stretch * (unit + camera * soft[row, column])
-        places[0, column] = stretch * width * (column + from_left)
-        places[1, column] = stretch * up
+        stretch = bend_at(u, v, lens, across) * (unit + camera * soft[row, column])
+        points[0, column] = stretch * width * (column + from_left)
+        points[1, column] = stretch * up
 
 
 @part
-def _ahead_of(out: Float32, ahead: Float32, places: Float32, view: SurfaceView) -> None:
-    """Write :func:`_horizons` at places on the gel (2, W), (AZIMUTHS, W), bilinearly."""
+def _ahead_at(out: Float32, ahead: Float32, points: Float32, view: SurfaceView) -> None:
+    """Write :func:`_horizons` at points on the gel, (2, W), bilinearly: (AZIMUTHS, W)."""
     _, rows, columns = ahead.shape
     unit = np.float32(1.0)
     per_x, per_y = np.float32(1.0 / view.pitch_x), np.float32(1.0 / view.pitch_y)
     middle_x, middle_y = np.float32(0.5 * columns - 0.5), np.float32(0.5 * rows - 0.5)
     for column in range(columns):
-        x = min(max(places[0, column] * per_x + middle_x, np.float32(0.0)), np.float32(columns - 1.0))
-        y = min(max(middle_y - places[1, column] * per_y, np.float32(0.0)), np.float32(rows - 1.0))
+        x = min(max(points[0, column] * per_x + middle_x, np.float32(0.0)), np.float32(columns - 1.0))
+        y = min(max(middle_y - points[1, column] * per_y, np.float32(0.0)), np.float32(rows - 1.0))
         i, j = min(int(x), columns - 2), min(int(y), rows - 2)
         right, below = x - np.float32(i), y - np.float32(j)
         left, above = unit - right, unit - below
@@ -153,8 +153,8 @@ def _ahead_of(out: Float32, ahead: Float32, places: Float32, view: SurfaceView) 
 
 
 @part
-def _look_at(to: Float32, ahead: Float32, places: Float32, azimuth: int, view: SurfaceView) -> None:
-    """Write how far a lamp is from places on the gel (2, W), (7, W).
+def _look_at(to: Float32, ahead: Float32, points: Float32, azimuth: int, view: SurfaceView) -> None:
+    """Write how far a lamp is from points on the gel (2, W): (7, W).
 
     The rows are the distances along x and y, the squared distance along the gel, the direction in steps of
     ``AZIMUTHS``, how steeply the gel rises on the way, between the directions of ``ahead`` (AZIMUTHS, W), the
@@ -162,16 +162,14 @@ def _look_at(to: Float32, ahead: Float32, places: Float32, azimuth: int, view: S
     """
     unit = np.float32(1.0)
     per_turn = np.float32(AZIMUTHS / TURNS)
-    lamp_x, lamp_y = (
-        np.float32(view.ring * _TOWARDS[azimuth, 0]),
-        np.float32(view.ring * _TOWARDS[azimuth, 1]),
-    )
-    for column in range(places.shape[1]):
-        across, up = lamp_x - places[0, column], lamp_y - places[1, column]
+    lamp_x = np.float32(view.ring * _TOWARDS[azimuth, 0])
+    lamp_y = np.float32(view.ring * _TOWARDS[azimuth, 1])
+    for column in range(points.shape[1]):
+        across, up = lamp_x - points[0, column], lamp_y - points[1, column]
         to[0, column], to[1, column] = across, up
         to[2, column] = across * across + up * up
         to[3, column] = turn_of(across, up) * per_turn
-    for column in range(places.shape[1]):
+    for column in range(points.shape[1]):
         first = int(to[3, column])
         part = to[3, column] - np.float32(first)
         second = first + 1 if first < AZIMUTHS - 1 else 0
@@ -208,22 +206,22 @@ def lamp_light(soft: Float32, flat: Float32, view: SurfaceView, reaches: Float64
     per_size = np.float32(1.0 / (_LAMP_SIZE * view.lamp_height))
     out = np.empty((rows, columns, len(lamps), _LAMP_VALUES), np.float32)
     positions = np.empty((4, columns), np.float32)
-    places = np.empty((2, columns), np.float32)
+    points = np.empty((2, columns), np.float32)
     ahead_here = np.empty((AZIMUTHS, columns), np.float32)
     to = np.empty((7, columns), np.float32)
     # By lamp, several pixels are computed at once.
     values = np.empty((len(lamps), _LAMP_VALUES, columns), np.float32)
     for row in range(rows):
         row_positions(positions, soft, row, view)
-        _place_row(places, soft, row, view)
-        _ahead_of(ahead_here, ahead, places, view)
+        _points_of_row(points, soft, row, view)
+        _ahead_at(ahead_here, ahead, points, view)
         line = soft[row]
         seen_from = -1
         for number in range(len(lamps)):
             azimuth, height = lamps[number] // len(HEIGHTS), lamps[number] % len(HEIGHTS)
             if azimuth != seen_from:
                 seen_from = azimuth
-                _look_at(to, ahead_here, places, azimuth, view)
+                _look_at(to, ahead_here, points, azimuth, view)
             lamp_z = np.float32(HEIGHTS[height] * view.lamp_height)
             lamp = values[number]
             for column in range(columns):

@@ -61,6 +61,13 @@ def row_y(row: int, rows: int, view: SurfaceView) -> np.float32:
 
 
 @part
+def bend_at(u: np.float32, v: np.float32, lens: np.float32, across: np.float32) -> np.float32:
+    """Return how much farther from the middle than without a lens lies what a pixel sees, as a factor."""
+    unit = np.float32(1.0)
+    return unit + lens * (across * u * u + (unit - across) * v * v)
+
+
+@part
 def turn_of(x: np.float32, y: np.float32) -> np.float32:
     """Return the direction of a slope, in steps of the table."""
     zero, unit = np.float32(0.0), np.float32(1.0)
@@ -114,7 +121,7 @@ def row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView
         x = steeps[column]
         y = (above[column] - below[column]) * per_y
         u = column_x(column, columns, view)
-        bend = unit + lens * (across * u * u + down * v * v)
+        bend = bend_at(u, v, lens, across)
         xx, yy = bend + two * lens * across * u * u, bend + two * lens * down * v * v
         xy = two * lens * both * u * v
         per_area = unit / (xx * yy - xy * xy)
